@@ -1,0 +1,61 @@
+"""Drag of a medium at rest."""
+
+import numpy as np
+
+from jaxrb.body.mass_properties import MassProperties
+from jaxrb.body.state import State
+from jaxrb.body.validity import inertia_matrix
+from jaxrb.checks import quantity
+from jaxrb.effects.effect import Force, Wrench
+from jaxrb.math.arrays import Scalar
+from jaxrb.math.safe import norm
+
+
+class LinearDrag(Force):
+    """F = −c v and τ = −c_r ω: Stokes' law, or a first model of any small damping.
+
+    `coefficient` [N s/m] slows the motion of the centre of mass; `angular_coefficient` [N m s/rad], if given, the spin.
+    A sphere of radius r in a medium of viscosity η has c = 6πηr and c_r = 8πηr³ (Stokes 1851).
+    """
+
+    coefficient: Scalar = quantity((), nonnegative=True, unit="N s/m")
+    angular_coefficient: Scalar | None = quantity((), nonnegative=True, unit="N m s/rad", default=None)
+
+    def wrench(self, body: MassProperties, state: State) -> Wrench:
+        force = -self.coefficient * state.velocity
+        if self.angular_coefficient is None:
+            return Wrench(force)
+        return Wrench(force, -self.angular_coefficient * state.angular_velocity)
+
+    def rate(self, bodies: MassProperties, state: State) -> np.ndarray:
+        linear = np.max(np.asarray(self.coefficient) / np.asarray(_masses(self, bodies)))
+        if self.angular_coefficient is None:
+            return linear
+        smallest = np.linalg.eigvalsh(inertia_matrix(bodies.inertia))[..., 0].min()
+        return np.maximum(linear, np.max(np.asarray(self.angular_coefficient)) / smallest)
+
+
+class QuadraticDrag(Force):
+    """F = −½ ρ C A |v| v: the drag of a blunt body at high Reynolds number.
+
+    `coefficient` C [1], `area` A [m²], `density` ρ of the medium [kg/m³], by default that of air at sea level and 15 °C
+    (ISO 2533). It acts at the centre of mass and does not depend on the attitude.
+    """
+
+    coefficient: Scalar = quantity((), nonnegative=True)
+    area: Scalar = quantity((), nonnegative=True, unit="m²")
+    density: Scalar = quantity((), nonnegative=True, unit="kg/m³", default=1.225)
+
+    def wrench(self, body: MassProperties, state: State) -> Wrench:
+        # norm has zero gradient at rest, where |v| v has a zero derivative too.
+        return Wrench((-0.5 * self.density * self.coefficient * self.area) * norm(state.velocity) * state.velocity)
+
+    def rate(self, bodies: MassProperties, state: State) -> np.ndarray:
+        speed = np.linalg.norm(np.asarray(state.velocity), axis=-1).max()
+        factor = np.asarray(self.density) * np.asarray(self.coefficient) * np.asarray(self.area)
+        return np.max(factor) * speed / np.min(np.asarray(bodies.mass))
+
+
+def _masses(force: Force, bodies: MassProperties) -> np.ndarray:
+    masses = np.asarray(bodies.mass)
+    return masses if force.bodies is None else masses[np.asarray(force.bodies)]

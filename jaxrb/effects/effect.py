@@ -1,0 +1,144 @@
+"""What may act on bodies. A scene's effects are values in a tuple; what is not in it is not in the program."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrb.body.mass_properties import MassProperties
+from jaxrb.body.state import PER_BODY, State
+from jaxrb.checks import Checked, quantities
+from jaxrb.errors import WrongStructure
+from jaxrb.math.arrays import Scalar, Vector
+from jaxrb.math.vector import cross
+
+
+class Wrench(eqx.Module):
+    """Force (..., 3) [N] in the world frame at the centre of mass, and torque (..., 3) [N m] in the body frame.
+
+    None is a force or torque that is zero by type: it costs nothing, since nothing is compiled for it.
+    """
+
+    force: Vector | None = None
+    torque: Vector | None = None
+
+    def __add__(self, other: Wrench) -> Wrench:
+        return Wrench(add(self.force, other.force), add(self.torque, other.torque))
+
+    @classmethod
+    def at_point(cls, force: Vector, point: Vector, state: State) -> Wrench:
+        """A world force applied at a body point given in the body frame."""
+        return cls(force, cross(point, state.orientation.unrotate(force)))
+
+
+def add(a: Vector | None, b: Vector | None) -> Vector | None:
+    """a + b, where None is zero by type."""
+    if a is None or b is None:
+        return b if a is None else a
+    return a + b
+
+
+class Effect(Checked):
+    """Something that acts on the bodies of a scene."""
+
+    def check(self, count: int) -> None:
+        """Refuse what does not fit a scene of `count` bodies."""
+
+    def wrench_on(self, bodies: MassProperties, state: State) -> Wrench:
+        """The wrench on each body of the scene; arrays have the bodies axis."""
+        return Wrench()
+
+    def potential_energy_of(self, bodies: MassProperties, state: State) -> Scalar | None:
+        """Total potential energy [J], None for an effect that has none."""
+        return None
+
+    def rate(self, bodies: MassProperties, state: State) -> np.ndarray | float:
+        """Estimate on the host of the fastest rate [1/s] that this effect gives a body: ω of an oscillation, 1/τ of a decay.
+
+        A step dt with dt · rate above the method's limit is unstable; the run warns.
+        """
+        return 0.0
+
+
+class Force(Effect):
+    """An effect on one body at a time. Subclasses define `wrench(body, state)` for one body, without a bodies axis.
+
+    `bodies` names the bodies that it acts on by their numbers in the scene; None is all of them. Its own numbers hold
+    for all, or carry a leading axis over those bodies.
+    """
+
+    bodies: tuple[int, ...] | None = eqx.field(static=True, default=None, kw_only=True)
+
+    def wrench(self, body: MassProperties, state: State) -> Wrench:
+        """The wrench on one body."""
+        raise NotImplementedError
+
+    def potential_energy(self, body: MassProperties, state: State) -> Scalar | None:
+        """Potential energy [J] of one body, None if there is none."""
+        return None
+
+    def check(self, count: int) -> None:
+        if self.bodies is not None:
+            check_indices(type(self).__name__, "bodies", self.bodies, count)
+        acted = count if self.bodies is None else len(self.bodies)
+        for field in quantities(type(self)):
+            value, core = getattr(self, field.name), field.metadata["quantity"]["core"]
+            if value is not None and np.ndim(value) > len(core) and np.shape(value)[: -len(core) or None] != (acted,):
+                raise WrongStructure(
+                    f"{type(self).__name__}.{field.name}: shape {np.shape(value)}; give {core} for all bodies, or "
+                    f"{(acted, *core)} for one value a body"
+                )
+
+    def wrench_on(self, bodies: MassProperties, state: State) -> Wrench:
+        with jax.named_scope(type(self).__name__):
+            if self.bodies is None:
+                return self._each(type(self).wrench, bodies, state)
+            index = np.asarray(self.bodies)
+            wrench = self._each(type(self).wrench, *taken((bodies, state), index))
+            return scattered(wrench, index, state)
+
+    def potential_energy_of(self, bodies: MassProperties, state: State) -> Scalar | None:
+        if self.bodies is not None:
+            bodies, state = taken((bodies, state), np.asarray(self.bodies))
+        energies = self._each(type(self).potential_energy, bodies, state)
+        return None if energies is None else jnp.sum(energies)
+
+    def _each(self, function: Any, bodies: MassProperties, state: State) -> Any:
+        return jax.vmap(function, in_axes=(self._axes(), 0, PER_BODY))(self, bodies, state)
+
+    def _axes(self) -> Any:
+        """Which of the effect's own numbers carry an axis over bodies."""
+        ranks = {f.name: len(f.metadata["quantity"]["core"]) for f in quantities(type(self))}
+        axes = jax.tree.map(lambda _: None, self)
+        for name, rank in ranks.items():
+            value = getattr(self, name)
+            if value is not None and np.ndim(value) > rank:
+                object.__setattr__(axes, name, 0)
+        return axes
+
+
+def taken(tree: Any, index: np.ndarray) -> Any:
+    """The chosen bodies of arrays with a bodies axis; the time, a scalar, is kept."""
+    return jax.tree.map(lambda leaf: leaf[index] if jnp.ndim(leaf) else leaf, tree)
+
+
+def scattered(wrench: Wrench, index: np.ndarray, state: State) -> Wrench:
+    """Wrenches of the chosen bodies, added up into arrays over all bodies."""
+
+    def spread(part: Vector) -> Vector:
+        return jnp.zeros((state.position.shape[0], 3), part.dtype).at[index].add(part)
+
+    return jax.tree.map(spread, wrench)
+
+
+def check_indices(owner: str, field: str, indices: tuple[int, ...], count: int) -> None:
+    """Refuse body numbers that the scene does not have, or has twice."""
+    if not isinstance(indices, tuple) or not all(isinstance(i, (int, np.integer)) for i in indices):
+        raise WrongStructure(f"{owner}.{field}: {indices!r}; give a tuple of body numbers, or None for all")
+    for i in indices:
+        if not 0 <= i < count:
+            raise WrongStructure(f"{owner}.{field}: there is no body {i} in a scene of {count}; numbers start at 0")

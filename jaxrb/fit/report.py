@@ -1,0 +1,225 @@
+"""What a fit hands back: numbers with error bars, what cannot be known, and a page to read."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxrb.body.inertia import FullInertia
+from jaxrb.fit.free_fall import FreeFall
+from jaxrb.fit.uncertainty import (
+    NAMES,
+    PLACES,
+    Information,
+    jackknife_covariance,
+    model_covariance,
+    principal,
+    ratio_jacobian,
+)
+
+# With fewer tosses the jackknife's own error is so large that the wider of the two error bars is quoted.
+_FEW_TOSSES = 8
+NEVER = {
+    "scale": "torque-free motion is the same for any multiple of the inertia",
+    "mass": "rotation in free flight does not depend on it",
+    "centre of mass": "it is taken as the recorded point, which falls freely",
+}
+
+
+@dataclass(frozen=True)
+class StandardErrors:
+    """Standard errors of I/tr(I): `ratios` (3,) of xx, yy, zz; `products` (3,) of xy, xz, yz; `principal` (3,)."""
+
+    ratios: np.ndarray
+    products: np.ndarray
+    principal: np.ndarray
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What had to be fitted or decided along the way.
+
+    `spin_noise` [rad/s] and `attitude_noise` [rad] are the standard deviations found for one component of one sample,
+    `angular_drag` c [1/s] that of a torque −c tr(I) ω, `integration_error` the largest error of the simulation in units
+    of the noise, `rejected` counts what was left out by reason.
+    """
+
+    source: str
+    free_fall: FreeFall | None
+    spin_noise: float | None
+    attitude_noise: float | None
+    angular_drag: float | None
+    flights_used: int
+    samples_used: int
+    rejected: dict[str, int]
+    declared_flights: bool
+    integration_error: float
+    stages: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class InertiaFit:
+    """An inertia from a recording.
+
+    `inertia` [kg m²] has trace 1 unless its scale was given (`scale_known`). `ratios` (3,) are I_xx, I_yy, I_zz over
+    tr(I) in the body frame, `principal_ratios` (3,) the principal moments over tr(I), ascending, with their axes as
+    columns of `principal_axes` (3, 3). `standard_errors` and `covariance` (6, 6) of I/tr(I) as xx, yy, zz, xy, xz, yz
+    are the robust ones (`error_kind` says how made); `model_*` believe in independent noise and are shown beside.
+    """
+
+    inertia: FullInertia
+    scale_known: bool
+    ratios: np.ndarray
+    products: np.ndarray
+    principal_ratios: np.ndarray
+    principal_axes: np.ndarray
+    standard_errors: StandardErrors
+    covariance: np.ndarray
+    model_standard_errors: StandardErrors
+    model_covariance: np.ndarray
+    error_kind: str
+    identifiable: dict[str, bool]
+    nuisance: Nuisance
+
+    def summary(self) -> str:
+        """A page of text."""
+        return "\n".join([*self._table(), *self._unknown(), *self._circumstances()])
+
+    def _table(self) -> list[str]:
+        rows = [
+            f"Inertia ratios I/tr(I) of {self.nuisance.source}",
+            f"{'':10s}{'value':>9s}  {'± robust':>9s}  {'± model':>9s}",
+        ]
+        robust, model = self.standard_errors, self.model_standard_errors
+        groups = (
+            (("I_xx", "I_yy", "I_zz"), self.ratios, robust.ratios, model.ratios),
+            (("I_xy", "I_xz", "I_yz"), self.products, robust.products, model.products),
+            (
+                ("smallest", "middle", "largest"),
+                self.principal_ratios,
+                robust.principal,
+                model.principal,
+            ),
+        )
+        for names, values, errors, others in groups:
+            rows += [f"  {n:8s}{v:9.4f}  {e:9.4f}  {o:9.4f}" for n, v, e, o in zip(names, values, errors, others)]
+        return [*rows, f"  (± robust: {self.error_kind})"]
+
+    def _unknown(self) -> list[str]:
+        known = [name for name, yes in self.identifiable.items() if yes]
+        lines = [f"Determined: {', '.join(known)}."]
+        for name, reason in NEVER.items():
+            if name == "scale" and self.scale_known:
+                lines.append(f"Taken as given: scale, tr(I) = {float(np.sum(self._diagonal())):.6g} kg m².")
+            else:
+                lines.append(f"Not determined: {name}; {reason}.")
+        return lines
+
+    def _diagonal(self) -> np.ndarray:
+        return np.asarray(self.inertia.components)[:3]
+
+    def _circumstances(self) -> list[str]:
+        n = self.nuisance
+        lines = [f"Used: {n.flights_used} free flights, {n.samples_used} samples."]
+        if n.declared_flights:
+            lines.append("No positions to cut by: each toss was taken as one free flight.")
+        if n.rejected:
+            lines.append("Left out: " + ", ".join(f"{count} × {why}" for why, count in n.rejected.items()) + ".")
+        if n.free_fall is not None:
+            lines.append(f"Acceleration: {n.free_fall.sentence()}.")
+        noises = ((n.spin_noise, "rad/s in angular velocity"), (n.attitude_noise, "rad in attitude"))
+        found = [f"{value:.3g} {what}" for value, what in noises if value is not None]
+        lines.append(f"Noise of a sample: {', '.join(found)}; simulation error at most {n.integration_error:.1e} of it.")
+        if n.angular_drag is not None:
+            lines.append(f"Angular drag: {n.angular_drag:.3g} 1/s.")
+        return [*lines, *(f"Fit: {stage}." for stage in n.stages[-1:])]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and text, for JSON."""
+        n = self.nuisance
+
+        def errors(which: StandardErrors) -> dict[str, list[float]]:
+            return {key: getattr(which, key).tolist() for key in ("ratios", "products", "principal")}
+
+        return {
+            "inertia": np.asarray(self.inertia.as_matrix(), float).tolist(),
+            "scale_known": self.scale_known,
+            "ratios": self.ratios.tolist(),
+            "products": self.products.tolist(),
+            "principal_ratios": self.principal_ratios.tolist(),
+            "principal_axes": self.principal_axes.tolist(),
+            "standard_errors": errors(self.standard_errors),
+            "model_standard_errors": errors(self.model_standard_errors),
+            "error_kind": self.error_kind,
+            "covariance_order": list(NAMES),
+            "covariance": self.covariance.tolist(),
+            "identifiable": self.identifiable,
+            "nuisance": {
+                "source": n.source,
+                "free_fall": None if n.free_fall is None else n.free_fall.as_dict(),
+                "spin_noise_rad_s": n.spin_noise,
+                "attitude_noise_rad": n.attitude_noise,
+                "angular_drag_1_s": n.angular_drag,
+                "flights_used": n.flights_used,
+                "samples_used": n.samples_used,
+                "rejected": n.rejected,
+                "declared_flights": n.declared_flights,
+                "integration_error_in_noise": n.integration_error,
+                "stages": list(n.stages),
+            },
+        }
+
+
+def inertia_fit(
+    ratios: np.ndarray,
+    shared: np.ndarray,
+    info: Information,
+    toss: np.ndarray,
+    used: np.ndarray,
+    nuisance: Nuisance,
+    trace: float | None,
+) -> InertiaFit:
+    """Put a fit together: `ratios` (3, 3) at the coordinates `shared`, its information, and each flight's toss."""
+    jacobian = np.zeros((6, len(shared)))
+    jacobian[:, :5] = ratio_jacobian(shared)
+    model = jacobian @ model_covariance(info) @ jacobian.T
+    robust, kind = _quoted(info, jacobian, model, toss, used)
+    values, errors, axes = principal(ratios, robust)
+    _, model_errors, _ = principal(ratios, model)
+    # A host array in float64; it takes a state's dtype when a run is prepared.
+    inertia = FullInertia(np.array([ratios[place] for place in PLACES]) * (1.0 if trace is None else trace))
+    return InertiaFit(
+        inertia=inertia,
+        scale_known=trace is not None,
+        ratios=np.diag(ratios).copy(),
+        products=np.array([ratios[place] for place in PLACES[3:]]),
+        principal_ratios=values,
+        principal_axes=axes,
+        standard_errors=_standard_errors(robust, errors),
+        covariance=robust,
+        model_standard_errors=_standard_errors(model, model_errors),
+        model_covariance=model,
+        error_kind=kind,
+        identifiable={**{f"ratio_{name}": True for name in NAMES}, **{name: False for name in NEVER}},
+        nuisance=nuisance,
+    )
+
+
+def _quoted(info: Information, jacobian, model, toss, used) -> tuple[np.ndarray, str]:
+    """The covariance to quote, and what it is."""
+    tosses = len(np.unique(toss[used]))
+    inner = jackknife_covariance(info, toss, used)
+    if inner is None:
+        return model, "one toss only: model-based, which real recordings exceed several times"
+    robust = jacobian @ inner @ jacobian.T
+    if tosses >= _FEW_TOSSES:
+        return robust, f"jackknife over {tosses} tosses"
+    # Correlations of the jackknife, deviations of the wider: scaling rows and columns keeps it a covariance.
+    deviation = np.sqrt(np.maximum(np.diag(robust), 1e-300))
+    scale = np.maximum(np.sqrt(np.diag(model)) / deviation, 1.0)
+    return robust * np.outer(scale, scale), f"jackknife over only {tosses} tosses, or model-based where wider"
+
+
+def _standard_errors(covariance: np.ndarray, of_principal: np.ndarray) -> StandardErrors:
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return StandardErrors(deviation[:3], deviation[3:], of_principal)

@@ -1,0 +1,87 @@
+"""The abstract method, and the algebra of states and their rates that the methods share."""
+
+import functools
+import operator
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+
+from jaxrb.body.state import State
+from jaxrb.effects.dynamics import Acceleration, Dynamics
+from jaxrb.math.arrays import Scalar, Vector
+from jaxrb.math.rotation import Rotation
+
+
+class Method(eqx.Module):
+    """One way to advance a state by one step. Methods are written once, for every representation of rotations.
+
+    `renormalise` projects the orientation back to an exact rotation after each step. Switched off, the drift of the
+    representation shows.
+    """
+
+    order: eqx.AbstractClassVar[int]
+    # dt times the fastest rate of the effects must stay below this for the step to be stable.
+    stability_limit: eqx.AbstractClassVar[float]
+    needs_group: ClassVar[bool] = False  # True where Euler angles cannot serve
+
+    renormalise: bool = eqx.field(static=True, default=True, kw_only=True)
+
+    def advance(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None) -> State:
+        """The state one step of `dt` [s] later, before projection."""
+        raise NotImplementedError
+
+    def step(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None = None) -> State:
+        """One whole step: advance, project, put constrained bodies in their place, count the time."""
+        with jax.named_scope(type(self).__name__):
+            new = self.advance(dynamics, state, dt, torque)
+        orientation = new.orientation.renormalise() if self.renormalise else new.orientation
+        done = State(new.position, orientation, new.velocity, new.angular_velocity, state.time + dt)
+        return dynamics.complete(done)
+
+
+class Rates(eqx.Module):
+    """Time derivative of a state. None is a rate that is zero by type."""
+
+    position: Vector
+    orientation: Rotation
+    velocity: Vector | None
+    angular_velocity: Vector | None
+
+
+def rates(state: State, acceleration: Acceleration) -> Rates:
+    """The derivative of a state whose accelerations are known."""
+    return Rates(
+        state.velocity,
+        state.orientation.derivative(state.angular_velocity),
+        acceleration.linear,
+        acceleration.angular,
+    )
+
+
+def moved(state: State, span: Scalar, rate: Rates, after: Scalar) -> State:
+    """state + span · rate, at time state.time + after."""
+    return State(
+        advanced(state.position, span, rate.position),
+        jax.tree.map(lambda x, r: x + span * r, state.orientation, rate.orientation),
+        advanced(state.velocity, span, rate.velocity),
+        advanced(state.angular_velocity, span, rate.angular_velocity),
+        state.time + after,
+    )
+
+
+def advanced(value: Vector, span: Scalar, rate: Vector | None) -> Vector:
+    """value + span · rate; a rate of None leaves the value alone, and nothing is compiled."""
+    return value if rate is None else value + span * rate
+
+
+def average(weights: tuple[float, ...], values: list[Any]) -> Any:
+    """Weighted sum of trees whose weights add up to one. A leaf that never changed stays itself, at no cost."""
+
+    def mean(*leaves: Any) -> Any:
+        if all(leaf is leaves[0] for leaf in leaves):
+            return leaves[0]
+        terms = [weight * leaf for weight, leaf in zip(weights, leaves, strict=True)]
+        return functools.reduce(operator.add, terms)
+
+    return jax.tree.map(mean, *values)

@@ -1,0 +1,5 @@
+"""Floor 7: reading and writing."""
+
+from jaxrb.io.recording import Recording as Recording
+from jaxrb.io.recording_files import read_recording as read_recording
+from jaxrb.io.recording_files import write_recording as write_recording

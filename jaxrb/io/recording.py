@@ -1,0 +1,138 @@
+"""A recording of a tumbling body: what a gyroscope or a tracking camera wrote down. Host side, float64.
+
+Units are SI and frames are jaxrb's once a `Recording` exists: time [s], angular velocity [rad/s] in the
+body frame, orientation wxyz body to world, position [m] and velocity [m/s] in the world frame (z up).
+Other units and frames are declared when it is made, and converted there. Nothing is repaired in silence:
+what cannot be right is refused.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import jax
+import numpy as np
+
+from jaxrb.errors import InvalidInput
+from jaxrb.io.columns import (
+    ANGLE_UNITS,
+    LENGTH_UNITS,
+    TIME_UNITS,
+    WIDTHS,
+    Columns,
+    check_time,
+    factor,
+    stacked,
+    unit_and_continuous,
+)
+from jaxrb.math import Quaternion
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Recording:
+    """One or more tosses of one body.
+
+    Give each quantity as one array over all samples, with `length` samples in each toss (default: one
+    toss), or as a list with one array for each toss. At least one quantity beside `time` is needed.
+
+    Args:
+        time: (N,) [s, or `time_unit`], strictly increasing within each toss; spacing need not be even.
+        angular_velocity: (N, 3) [rad/s, or `angular_velocity_unit`] in the body frame, or in the world
+            frame if `angular_velocity_frame="world"`; the latter needs `orientation`.
+        orientation: (N, 4) wxyz, scalar first, body to world. Stored normalised and without jumps of sign.
+        position: (N, 3) [m, or `length_unit`] of the centre of mass, world frame, z up.
+        velocity: (N, 3) [m/s, or `length_unit` per second], world frame.
+        length: (T,) number of samples in each toss.
+        metadata: anything that JSON can hold: body, instrument, truth.
+        source: what error messages call this recording, such as the file's name.
+
+    Raises:
+        InvalidInput: naming source, field, place and value, for numbers that are not finite, time that
+            does not increase, shapes or lengths that disagree, quaternions that are not of length one, or
+            an unknown unit.
+    """
+
+    time: np.ndarray
+    angular_velocity: np.ndarray | None
+    orientation: np.ndarray | None
+    position: np.ndarray | None
+    velocity: np.ndarray | None
+    length: np.ndarray
+    metadata: dict[str, Any] = field(default_factory=dict)
+    source: str = "Recording"
+
+    def __init__(
+        self,
+        time: Columns,
+        angular_velocity: Columns | None = None,
+        orientation: Columns | None = None,
+        position: Columns | None = None,
+        velocity: Columns | None = None,
+        length: Columns | None = None,
+        *,
+        time_unit: Literal["s", "ms", "us"] = "s",
+        angular_velocity_unit: Literal["rad/s", "deg/s"] = "rad/s",
+        angular_velocity_frame: Literal["body", "world"] = "body",
+        length_unit: Literal["m", "cm", "mm"] = "m",
+        metadata: Mapping[str, Any] | None = None,
+        source: str = "Recording",
+    ):
+        given = {
+            "angular_velocity": angular_velocity,
+            "orientation": orientation,
+            "position": position,
+            "velocity": velocity,
+        }
+        given = {name: value for name, value in given.items() if value is not None}
+        if not given:
+            raise InvalidInput(
+                f"{source}: only 'time' is given. Add angular_velocity, orientation or position."
+            )
+        arrays, lengths = stacked({"time": time, **given}, length, source)
+        check_time(arrays["time"], lengths, source)
+        metre = factor(LENGTH_UNITS, length_unit, "length_unit", source)
+        scales = {
+            "time": factor(TIME_UNITS, time_unit, "time_unit", source),
+            "angular_velocity": factor(ANGLE_UNITS, angular_velocity_unit, "angular_velocity_unit", source),
+            "orientation": 1.0,
+            "position": metre,
+            "velocity": metre,
+        }
+        arrays = {name: array * scales[name] for name, array in arrays.items()}
+        if "orientation" in arrays:
+            arrays["orientation"] = unit_and_continuous(arrays["orientation"], lengths, source)
+        if angular_velocity_frame not in ("body", "world"):
+            raise InvalidInput(
+                f"{source}: angular_velocity_frame is {angular_velocity_frame!r}; give 'body' or 'world'."
+            )
+        if angular_velocity_frame == "world" and "angular_velocity" in arrays:
+            arrays["angular_velocity"] = _into_body(arrays, source)
+        for name in ("time", *WIDTHS):
+            object.__setattr__(self, name, arrays.get(name))
+        object.__setattr__(self, "length", lengths)
+        object.__setattr__(self, "metadata", dict(metadata or {}))
+        object.__setattr__(self, "source", source)
+
+    @property
+    def tosses(self) -> int:
+        """Number of tosses."""
+        return len(self.length)
+
+    @property
+    def starts(self) -> np.ndarray:
+        """(T + 1,) index of each toss's first sample, and the number of samples at the end."""
+        return np.concatenate([[0], np.cumsum(self.length)])
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Every quantity that was recorded, `time` first."""
+        named = {name: getattr(self, name) for name in ("time", *WIDTHS)}
+        return {name: array for name, array in named.items() if array is not None}
+
+
+def _into_body(arrays: Mapping[str, np.ndarray], source: str) -> np.ndarray:
+    if "orientation" not in arrays:
+        raise InvalidInput(
+            f"{source}: angular velocity in the world frame needs 'orientation' to turn it into the body's."
+        )
+    with jax.enable_x64(True):  # host data stays in float64 whatever the user's setting
+        return np.asarray(Quaternion(arrays["orientation"]).unrotate(arrays["angular_velocity"]))

@@ -1,0 +1,179 @@
+"""Recordings as CSV: one row a sample, units in the header, the frame of the angular velocity in a comment.
+
+    # frame: body
+    toss, time [s], wx [rad/s], wy [rad/s], wz [rad/s], qw, qx, qy, qz, px [m], …, vx [m/s], …
+
+`toss` may be left away when there is one, and so may any whole group of columns. Lines that start with
+`#` are comments; `# frame: body` or `# frame: world` says where wx, wy, wz are measured, and
+`# metadata: {…}` holds JSON.
+Units: s, ms, us; rad/s, deg/s; m, cm, mm and the same a second.
+"""
+
+import csv
+import json
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxrb.errors import InvalidInput, JaxrbWarning
+from jaxrb.io.columns import ANGLE_UNITS, LENGTH_UNITS, TIME_UNITS
+from jaxrb.io.recording import Recording
+
+GROUPS = {
+    "time": ("time",),
+    "angular_velocity": ("wx", "wy", "wz"),
+    "orientation": ("qw", "qx", "qy", "qz"),
+    "position": ("px", "py", "pz"),
+    "velocity": ("vx", "vy", "vz"),
+}
+UNITS = {
+    "time": TIME_UNITS,
+    "angular_velocity": ANGLE_UNITS,
+    "orientation": {"1": 1.0, "": 1.0},
+    "position": LENGTH_UNITS,
+    "velocity": {f"{unit}/s": metres for unit, metres in LENGTH_UNITS.items()},
+}
+_COLUMN = re.compile(r"\s*(\w+)\s*(?:\[(.*)\])?\s*")
+
+
+def read_csv(path: Path, declared: dict[str, Any]) -> Recording:
+    """The recording in a CSV file; `declared` overrides what its header says about units and frame."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (UnicodeDecodeError, OSError) as error:
+        raise InvalidInput(f"{path}: not a text file ({error}).") from error
+    lines = text.splitlines()
+    comments = [line[1:].strip() for line in lines if line.startswith("#")]
+    rows = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    if not rows:
+        raise InvalidInput(f"{path}: no header row. It should read like: time [s], wx [rad/s], wy [rad/s], …")
+    if not text.endswith("\n"):
+        warnings.warn(f"{path}: the last line has no end; is the file cut?", JaxrbWarning, stacklevel=3)
+    names, units = _header(path, rows[0][1], declared)
+    table = _numbers(path, names, rows[1:])
+    fields = _fields(path, names, units, table)
+    frame = declared.get("angular_velocity_frame") or _comment(comments, "frame")
+    if "angular_velocity" in fields and frame is None:
+        raise InvalidInput(
+            f"{path}: in which frame is wx measured? Add a line '# frame: body' or '# frame: world'."
+        )
+    metadata = _comment(comments, "metadata")
+    try:
+        metadata = json.loads(metadata) if metadata else {}
+    except json.JSONDecodeError as error:
+        raise InvalidInput(f"{path}: comment 'metadata' is not JSON ({error}).") from None
+    lengths = _lengths(path, table[:, names.index("toss")]) if "toss" in names else None
+    return Recording(
+        **fields,
+        length=lengths,
+        angular_velocity_frame=frame or "body",  # pyright: ignore[reportArgumentType]
+        metadata=metadata,
+        source=str(path),
+    )
+
+
+def csv_text(recording: Recording, metadata: str) -> str:
+    """The text of a CSV file that `read_csv` reads back without loss."""
+    columns = recording.columns()
+    defaults = {"time": "s", "angular_velocity": "rad/s", "position": "m", "velocity": "m/s"}
+    header = ["toss"]
+    for name in columns:
+        unit = f" [{defaults[name]}]" if name in defaults else ""
+        header += [f"{column}{unit}" for column in GROUPS[name]]
+    toss = np.repeat(np.arange(recording.tosses), recording.length)
+    table = np.column_stack(list(columns.values()))
+    rows = [", ".join([str(t), *map(repr, row)]) for t, row in zip(toss.tolist(), table.tolist())]
+    return "\n".join(["# frame: body", f"# metadata: {metadata}", ", ".join(header), *rows, ""])
+
+
+def _comment(comments: list[str], name: str) -> str | None:
+    for comment in comments:
+        key, found, value = comment.partition(":")
+        if found and key.strip() == name:
+            return value.strip()
+    return None
+
+
+def _header(path: Path, line: str, declared: dict[str, Any]) -> tuple[list[str], dict[str, float]]:
+    """The columns' names, and SI units in one of each column's unit."""
+    group_of = {column: name for name, columns in GROUPS.items() for column in columns}
+    said = {
+        "angular_velocity": declared.get("angular_velocity_unit"),
+        "position": declared.get("length_unit"),
+        "velocity": f"{declared['length_unit']}/s" if "length_unit" in declared else None,
+        "orientation": "",
+    }
+    names, units = [], {}
+    for cell in line.split(","):
+        match = _COLUMN.fullmatch(cell)
+        name, unit = match.groups() if match else (cell.strip(), None)
+        if name != "toss" and name not in group_of:
+            raise InvalidInput(
+                f"{path}: column {cell.strip()!r} is not known; known are toss, {', '.join(group_of)}, each "
+                "with its unit in square brackets."
+            )
+        if name in names:
+            raise InvalidInput(f"{path}: column '{name}' stands there twice.")
+        names.append(name)
+        if name == "toss":
+            continue
+        unit = said.get(group_of[name]) if unit is None else unit.strip()
+        allowed = UNITS[group_of[name]]
+        if unit not in allowed:
+            raise InvalidInput(
+                f"{path}: column '{name}' has unit {unit!r}; write it as '{name} [{next(iter(allowed))}]', "
+                f"with one of {', '.join(u for u in allowed if u)}."
+            )
+        units[name] = allowed[unit]
+    return names, units
+
+
+def _numbers(path: Path, names: list[str], rows: list[tuple[int, str]]) -> np.ndarray:
+    table = np.empty((len(rows), len(names)))
+    for i, (number, line) in enumerate(rows):
+        cells = next(csv.reader([line]))
+        if len(cells) != len(names):
+            raise InvalidInput(
+                f"{path}: line {number} has {len(cells)} columns, the header {len(names)}. "
+                "Is the file cut there?"
+            )
+        for j, cell in enumerate(cells):
+            try:
+                table[i, j] = float(cell)
+            except ValueError:
+                raise InvalidInput(
+                    f"{path}: line {number}, column '{names[j]}' is {cell.strip()!r}, not a number."
+                ) from None
+    return table
+
+
+def _fields(
+    path: Path, names: list[str], units: dict[str, float], table: np.ndarray
+) -> dict[str, np.ndarray]:
+    fields = {}
+    for name, columns in GROUPS.items():
+        missing = [column for column in columns if column not in names]
+        if len(missing) == len(columns) and name != "time":
+            continue
+        if missing:
+            raise InvalidInput(
+                f"{path}: column '{missing[0]}' is missing; {name} needs {', '.join(columns)}."
+            )
+        values = np.stack([table[:, names.index(column)] * units[column] for column in columns], axis=-1)
+        fields[name] = values[:, 0] if name == "time" else values
+    return fields
+
+
+def _lengths(path: Path, toss: np.ndarray) -> np.ndarray:
+    """Samples of each toss, from a column that numbers them."""
+    starts = (
+        np.flatnonzero(np.concatenate([[True], toss[1:] != toss[:-1]])) if toss.size else np.zeros(0, int)
+    )
+    if np.unique(toss[starts]).size != starts.size:
+        raise InvalidInput(
+            f"{path}: column 'toss' comes back to an earlier number; keep each toss's rows together."
+        )
+    return np.diff(np.concatenate([starts, [toss.size]]))

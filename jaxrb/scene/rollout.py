@@ -1,0 +1,133 @@
+"""Many steps of a scene in one program."""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxrb.body.state import State, finite_per_body
+from jaxrb.errors import InvalidInput
+from jaxrb.integrators.method import Method
+from jaxrb.integrators.names import method_of
+from jaxrb.integrators.runge_kutta import RungeKutta4
+from jaxrb.math.arrays import Scalar, Vector
+from jaxrb.scene.path import Path
+from jaxrb.scene.scene import Scene, check_fit
+from jaxrb.scene.settings import (
+    DEFAULT_MAX_BYTES,
+    ON_ERROR,
+    applied_torque,
+    check_choice,
+    check_count,
+    check_positive,
+    check_representation,
+    check_saved_bytes,
+    warn_of_coarse_steps,
+)
+from jaxrb.scene.status import Status, sound, status_after
+
+
+def rollout(
+    scene: Scene,
+    state: State,
+    *,
+    dt: Scalar | float,
+    steps: int,
+    method: Method | str = RungeKutta4(),  # noqa: B008 - an immutable value
+    torque: Any = None,
+    save_every: int = 1,
+    on_error: str = "raise",
+    max_bytes: int = DEFAULT_MAX_BYTES,
+) -> Path:
+    """Advance a scene by `steps` steps of `dt` [s]; keep the initial and every `save_every`-th state.
+
+    Args:
+        scene, state: as for `step`.
+        torque: applied body torque [N m]: (n, 3) throughout, or (steps, n, 3), one a step.
+        save_every: `states` holds steps 0, k, 2k, …; `final` is always the very last state.
+        on_error: "raise" `RunFailed` when a state leaves the finite numbers, or "flag" it in `path.status`. Inside
+            `jit`, `vmap` or `grad` nothing can be raised: call `path.raise_if_bad()` outside.
+        max_bytes: refuse to start if the saved states would need more.
+
+    The reverse pass recomputes each saved stretch from its start: its memory is that of the saved states, and about
+    √save_every states more.
+    """
+    method = method_of(method)
+    check_fit(scene, state)
+    check_representation(method, state)
+    check_positive("dt", dt)
+    check_choice("on_error", on_error, ON_ERROR)
+    steps, save_every = check_count("steps", steps, 0), check_count("save_every", save_every, 1)
+    check_saved_bytes(state, steps // save_every + 1, max_bytes)
+    if steps >= 2**31:
+        raise InvalidInput(f"steps is {steps}, but one rollout counts to 2^31 − 1; continue from path.final")
+    torque = applied_torque(torque, state, steps)
+    warn_of_coarse_steps(scene, state, dt, method)
+    times, states, final, status = _run(
+        scene, state, torque, jnp.asarray(dt, state.dtype), method, steps=steps, save_every=save_every
+    )
+    path = Path(times, states, final, status, scene)
+    if on_error == "raise":
+        path.raise_if_bad()
+    return path
+
+
+def _run_steps(
+    scene: Scene, state: State, torque: Vector | None, dt: Scalar, method: Method, *, steps: int, save_every: int
+) -> tuple[Vector, State, State, Status]:
+    dynamics = scene.prepared(state.dtype)
+    start = state.time
+    varying = torque is not None and torque.ndim == 3
+
+    def one(carry: tuple, given: Vector | None) -> tuple[tuple, None]:
+        state, finite_steps, done = carry
+        new = method.step(dynamics, state, dt, given if varying else torque)
+        # The time is counted, not added up: 1e6 additions in float32 would lose the third digit.
+        new = State(
+            new.position, new.orientation, new.velocity, new.angular_velocity, start + (done + 1).astype(dt.dtype) * dt
+        )
+        return (new, finite_steps + finite_per_body(new), done + 1), None
+
+    def stretch(carry: tuple, given: Vector | None) -> tuple[tuple, State]:
+        carry = _scan(one, carry, given, save_every)
+        return carry, carry[0]
+
+    saves = steps // save_every
+    bad = sound(state, method.renormalise)
+    carry = (state, jnp.zeros_like(bad), jnp.zeros((), jnp.int32))
+    regular, rest = None, None
+    if varying:
+        regular = torque[: saves * save_every].reshape(saves, save_every, *torque.shape[1:])
+        rest = torque[saves * save_every :]
+    carry, saved = lax.scan(jax.checkpoint(stretch, prevent_cse=False), carry, regular, length=saves)
+    if steps > saves * save_every:
+        carry = _scan(one, carry, rest, steps - saves * save_every)
+    states = jax.tree.map(lambda first, later: jnp.concatenate([first[None], later]), state, saved)
+    return states.time, states, carry[0], status_after(bad, carry[1], steps)
+
+
+_run = jax.jit(_run_steps, static_argnames=("steps", "save_every"))
+
+
+def _scan(one: Any, carry: tuple, given: Vector | None, length: int) -> tuple:
+    """`length` steps; long stretches in blocks of about √length, which the reverse pass recomputes one by one."""
+    if length == 1:
+        return one(carry, None if given is None else given[0])[0]
+    if length <= 64:
+        return lax.scan(one, carry, given, length=length)[0]
+    block = math.isqrt(length)
+    blocks = length // block
+
+    def run_block(carry: tuple, given: Vector | None) -> tuple[tuple, None]:
+        return lax.scan(one, carry, given, length=block)[0], None
+
+    regular, rest = None, None
+    if given is not None:
+        regular = given[: blocks * block].reshape(blocks, block, *given.shape[1:])
+        rest = given[blocks * block :]
+    carry, _ = lax.scan(jax.checkpoint(run_block, prevent_cse=False), carry, regular, length=blocks)
+    if length > blocks * block:
+        carry = lax.scan(one, carry, rest, length=length - blocks * block)[0]
+    return carry

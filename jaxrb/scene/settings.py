@@ -1,0 +1,112 @@
+"""Checks of run settings that all runs share."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrb.body.state import State
+from jaxrb.checks import is_concrete, warn
+from jaxrb.errors import InvalidInput, LimitExceeded, WrongStructure
+from jaxrb.integrators.method import Method
+from jaxrb.math.euler_angles import EulerAngles
+from jaxrb.scene.scene import Scene
+
+ON_ERROR = ("raise", "flag")
+DEFAULT_MAX_BYTES = 8 * 2**30
+
+
+def check_positive(name: str, value: Any, unit: str = "s") -> None:
+    """Refuse what is not a positive finite number."""
+    if np.ndim(value) != 0:
+        raise WrongStructure(f"{name}: shape {np.shape(value)}; give one number")
+    if isinstance(value, (bool, str)) or value is None:
+        raise WrongStructure(f"{name}: {value!r} is not a number")
+    if is_concrete(value) and not (np.isfinite(value) and value > 0):
+        raise InvalidInput(f"{name} is {value!r} {unit}, but must be positive and finite")
+
+
+def check_tolerance(name: str, value: Any) -> None:
+    """Refuse a tolerance outside (0, 1)."""
+    if is_concrete(value) and not (np.isscalar(value) and 0 < float(value) < 1):  # type: ignore[arg-type]
+        raise InvalidInput(f"{name} is {value!r}, but must lie between 0 and 1, ends excluded; 1e-6 is a good start")
+
+
+def check_count(name: str, value: Any, least: int) -> int:
+    """A whole number of at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise WrongStructure(f"{name}: {value!r} is not a whole number known when the program is traced")
+    if value < least:
+        raise InvalidInput(f"{name} is {value}, but must be at least {least}")
+    return int(value)
+
+
+def check_choice(name: str, value: Any, choices: tuple[str, ...]) -> None:
+    """Refuse a word that is not among the choices."""
+    if value not in choices:
+        raise WrongStructure(f"{name}={value!r}: choose {' or '.join(repr(choice) for choice in choices)}")
+
+
+def check_representation(method: Method, state: State) -> None:
+    """Refuse Euler angles for methods that multiply rotations."""
+    if method.needs_group and isinstance(state.orientation, EulerAngles):
+        raise WrongStructure(
+            f"{type(method).__name__} works on quaternions and matrices, not on Euler angles; make the state with "
+            "rotation=Quaternion or RotationMatrix"
+        )
+
+
+def check_saved_bytes(state: State, saves: int, max_bytes: int) -> None:
+    """Refuse a run whose saved states would not fit."""
+    a_state = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(state))
+    wanted = a_state * saves
+    if wanted > max_bytes:
+        raise LimitExceeded(
+            f"rollout: {saves} saved states of {a_state} bytes need {wanted / 2**30:.1f} GiB, more than "
+            f"max_bytes = {max_bytes / 2**30:.1f} GiB; raise save_every or max_bytes"
+        )
+
+
+def applied_torque(torque: Any, state: State, steps: int | None = None) -> jax.Array | None:
+    """The applied torque as (n, 3), or (steps, n, 3) where `steps` is given and the torque varies."""
+    if torque is None:
+        return None
+    count = state.position.shape[0]
+    torque = jnp.asarray(torque, state.dtype)
+    if torque.shape in ((3,), (count, 3)):
+        _finite_torque(torque)
+        return jnp.broadcast_to(torque, (count, 3))
+    if steps is not None and torque.shape == (steps, count, 3):
+        _finite_torque(torque)
+        return torque
+    more = "" if steps is None else f", or {(steps, count, 3)} for one a step"
+    raise WrongStructure(f"torque: shape {torque.shape}; give {(count, 3)} [N m] in the body frame{more}")
+
+
+def _finite_torque(torque: jax.Array) -> None:
+    if is_concrete(torque) and not np.isfinite(np.asarray(torque)).all():
+        raise InvalidInput("torque: a number is not finite; all must be finite [N m]")
+
+
+def warn_of_coarse_steps(scene: Scene, state: State, dt: Any, method: Method) -> None:
+    """Warn where a step turns a body by more than a quarter turn, or an effect's rate is beyond the method's limit."""
+    values = (state.position, state.velocity, state.angular_velocity, dt, scene)
+    if not all(is_concrete(leaf) for leaf in jax.tree.leaves(values)):
+        return
+    spin = np.linalg.norm(np.asarray(state.angular_velocity, float), axis=-1)
+    angle = float(dt) * float(spin.max(initial=0.0))
+    if angle > np.pi / 2:
+        warn(
+            f"dt = {float(dt):.3g} s turns body {int(spin.argmax())} by {angle:.2f} rad a step, more than a quarter "
+            f"turn; a dt of {0.1 / float(spin.max()):.2g} s would resolve it"
+        )
+    bodies = None
+    for effect in scene.effects:
+        bodies = scene.stacked() if bodies is None else bodies
+        rate = float(np.max(effect.rate(bodies, state)))
+        if rate * float(dt) > method.stability_limit:
+            warn(
+                f"dt = {float(dt):.3g} s is beyond the stability of {type(method).__name__} for {type(effect).__name__} "
+                f"(rate {rate:.3g} /s); take dt below {method.stability_limit / rate:.2g} s"
+            )

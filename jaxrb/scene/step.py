@@ -1,0 +1,59 @@
+"""One step of a scene."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxrb.body.state import State
+from jaxrb.integrators.method import Method
+from jaxrb.integrators.names import method_of
+from jaxrb.integrators.runge_kutta import RungeKutta4
+from jaxrb.math.arrays import Scalar, Vector
+from jaxrb.scene.scene import Scene, check_fit
+from jaxrb.scene.settings import applied_torque, check_positive, check_representation
+
+
+def step(
+    scene: Scene,
+    state: State,
+    torque: Vector | None = None,
+    dt: Scalar | float = 1e-3,
+    *,
+    method: Method | str = RungeKutta4(),  # noqa: B008 - an immutable value
+) -> State:
+    """The state one step of `dt` [s] later: a pure function of all its arguments.
+
+    Args:
+        scene: bodies and effects; differentiate and `vmap` over its numbers as you like.
+        state: of this scene.
+        torque: applied torque in the body frame [N m], (n, 3) or (3,); None is none, and costs nothing.
+        dt: step [s].
+        method: how to advance.
+    """
+    method = method_of(method)
+    check_fit(scene, state)
+    check_representation(method, state)
+    check_positive("dt", dt)
+    return _step(scene, state, applied_torque(torque, state), jnp.asarray(dt, state.dtype), method)
+
+
+def stepper(scene: Scene, dt: float, *, method: Method | str = RungeKutta4()) -> Callable[..., State]:  # noqa: B008
+    """`step(state, torque=None) -> state` with the scene, the step `dt` [s] and the method built in.
+
+    The result is pure: `jax.jit`, `jax.vmap` and `jax.grad` it. Under `jit` the scene's numbers are constants of the
+    program; use `rb.step` to differentiate with respect to them.
+    """
+    method = method_of(method)
+    check_positive("dt", dt)
+
+    def step_of_scene(state: State, torque: Any = None) -> State:
+        return step(scene, state, torque, dt, method=method)
+
+    return step_of_scene
+
+
+@jax.jit
+def _step(scene: Scene, state: State, torque: Vector | None, dt: Scalar, method: Method) -> State:
+    return method.step(scene.prepared(state.dtype), state, dt, torque)
