@@ -27,7 +27,7 @@ class LinearDrag(Force):
             return Wrench(force)
         return Wrench(force, -self.angular_coefficient * state.angular_velocity)
 
-    def rate(self, bodies: MassProperties, state: State) -> np.ndarray:
+    def rate(self, bodies: MassProperties, state: State) -> np.ndarray | float:
         linear = np.max(np.asarray(self.coefficient) / np.asarray(_masses(self, bodies)))
         if self.angular_coefficient is None:
             return linear
@@ -50,7 +50,7 @@ class QuadraticDrag(Force):
         # norm has zero gradient at rest, where |v| v has a zero derivative too.
         return Wrench((-0.5 * self.density * self.coefficient * self.area) * norm(state.velocity) * state.velocity)
 
-    def rate(self, bodies: MassProperties, state: State) -> np.ndarray:
+    def rate(self, bodies: MassProperties, state: State) -> np.ndarray | float:
         speed = np.linalg.norm(np.asarray(state.velocity), axis=-1).max()
         factor = np.asarray(self.density) * np.asarray(self.coefficient) * np.asarray(self.area)
         return np.max(factor) * speed / np.min(np.asarray(bodies.mass))

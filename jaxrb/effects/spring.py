@@ -57,7 +57,7 @@ class SpringDamper(Effect):
         line, _ = self._line(taken(state, a), taken(state, b) if b.size else None)
         return jnp.sum(0.5 * self.stiffness * (norm(line) - self.rest_length) ** 2)
 
-    def rate(self, bodies: MassProperties, state: State) -> np.ndarray:
+    def rate(self, bodies: MassProperties, state: State) -> np.ndarray | float:
         masses = np.asarray(bodies.mass)
         a, b = _numbers(self.body_a), _numbers(self.body_b)
         inverse = 1.0 / masses[np.asarray(a)] + (1.0 / masses[np.asarray(b)] if b else 0.0)

@@ -1,6 +1,7 @@
 """The free-fall acceleration that a recording shows, with an error bar over its tosses.
 
-Beside the known value it is a check of the recording itself: it fails when the metre, the clock or the tracking does.
+Beside the known value it is a check of the recording itself: it fails when the metre, the clock or the
+tracking does.
 """
 
 from dataclasses import dataclass
@@ -42,8 +43,8 @@ class FreeFall:
             return f"{text}: agrees"
         ratio = found / expected
         return (
-            f"{text}: {100 * (ratio - 1):+.1f} %. A metre read as {ratio:.3f} m would do that (and leave the "
-            f"inertia ratios as they are), or a clock that shows {100 * (ratio**-0.5 - 1):+.1f} %, or air drag"
+            f"{text}: {100 * (ratio - 1):+.1f} %. A metre read as {ratio:.3f} m would do that (and leave "
+            f"the inertia ratios as they are), or a clock that shows {100 * (ratio**-0.5 - 1):+.1f} %, or air drag"
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -60,7 +61,7 @@ class FreeFall:
 
 
 def fit_free_fall(recording: Recording, flights: Flights) -> FreeFall:
-    """Least squares for one acceleration shared by all flights, each with its own start; Huber over the tosses.
+    """Least squares for one acceleration shared by all flights; Huber over the tosses.
 
     The error is the sandwich over tosses, so it holds whatever the noise within a toss looks like.
 
@@ -68,11 +69,15 @@ def fit_free_fall(recording: Recording, flights: Flights) -> FreeFall:
         InvalidInput: without positions, or with fewer than two tosses in flight.
     """
     if recording.position is None:
-        raise InvalidInput(f"{recording.source}: field 'position' is missing; free fall cannot be measured without.")
+        raise InvalidInput(
+            f"{recording.source}: field 'position' is missing; free fall cannot be measured without."
+        )
     push, weight = _by_toss(recording, flights)
     tosses = len(weight)
     if tosses < 2:
-        raise InvalidInput(f"{recording.source}: {tosses} toss(es) in free flight; an error bar needs at least two.")
+        raise InvalidInput(
+            f"{recording.source}: {tosses} toss(es) in free flight; an error bar needs at least two."
+        )
     trust = np.ones_like(push)
     for _ in range(30):
         mean = np.sum(trust * push, axis=0) / np.sum(trust * weight[:, None], axis=0)
@@ -88,7 +93,7 @@ def fit_free_fall(recording: Recording, flights: Flights) -> FreeFall:
 
 
 def _by_toss(recording: Recording, flights: Flights) -> tuple[np.ndarray, np.ndarray]:
-    """Sums over each toss's flights of q·position (T, 3) and q·q (T,): q is ½ t² made orthogonal to 1 and t."""
+    """Sums over each toss of q·position (T, 3) and q·q (T,); q is ½ t² made orthogonal to 1 and t."""
     assert recording.position is not None
     sums: dict[int, list] = {}
     for flight in flights.flights:

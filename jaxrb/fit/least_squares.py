@@ -1,11 +1,11 @@
 """Levenberg–Marquardt for parameters shared by many segments, each with a few unknowns of its own.
 
-The normal matrix has the shape of an arrow: a block for the shared parameters, a small block for each segment, and
-their borders. The segments' unknowns are eliminated one block at a time (Schur complement), so a step costs time in
-proportion to the number of segments. The whole iteration is one compiled program.
+The normal matrix has the shape of an arrow: a block for the shared parameters, a small block for each
+segment, and their borders. The segments' unknowns are eliminated one block at a time (Schur complement), so a
+step costs time in proportion to the number of segments. The whole iteration is one compiled program.
 
-Source: Levenberg 1944; Marquardt 1963; damping by the diagonal as in Moré 1978. The elimination is the one of bundle
-adjustment (Triggs et al. 2000, section 6).
+Source: Levenberg 1944; Marquardt 1963; damping by the diagonal as in Moré 1978. The elimination is the one of
+bundle adjustment (Triggs et al. 2000, section 6).
 """
 
 from collections.abc import Callable
@@ -41,7 +41,7 @@ class Normal(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Where the iteration ended. `cost` is ½ Σ weight·r²; `normal` belongs to `shared` and `local`, unweighted."""
+    """Where the iteration ended. `cost` is ½ Σ weight·r²; `normal` is unweighted."""
 
     shared: Array
     local: Array
@@ -74,7 +74,9 @@ def linearise(residual: Residual, shared: Array, local: Array, data: Any) -> Nor
 
     jacobian, value = jax.jacfwd(both, has_aux=True)(stacked)
     product, gradient, p = jacobian.T @ jacobian, jacobian.T @ value, shared.size
-    return Normal(product[:p, :p], product[:p, p:], product[p:, p:], gradient[:p], gradient[p:], value @ value)
+    return Normal(
+        product[:p, :p], product[:p, p:], product[p:, p:], gradient[:p], gradient[p:], value @ value
+    )
 
 
 @eqx.filter_jit

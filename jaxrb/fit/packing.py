@@ -1,4 +1,4 @@
-"""From flights to padded arrays: whole flights, or short windows of them to start from. Host side, numpy, float64."""
+"""From flights to padded arrays: whole flights, or short windows of them. Host side, float64."""
 
 import numpy as np
 
@@ -95,4 +95,6 @@ def spin_noise(recording: Recording, flights: Flights) -> float:
     ]
     size = np.sqrt(np.mean(np.concatenate([spin[f.start : f.stop] for f in flights.flights]) ** 2))
     # The second difference of white noise has √6 times its standard deviation.
-    return max(1.4826 * float(np.median(np.abs(np.concatenate(bends)))) / np.sqrt(6.0), 1e-6 * float(size), 1e-12)
+    return max(
+        1.4826 * float(np.median(np.abs(np.concatenate(bends)))) / np.sqrt(6.0), 1e-6 * float(size), 1e-12
+    )

@@ -1,11 +1,12 @@
-"""Log-Cholesky coordinates: any numbers give an inertia that some distribution of mass has, and the other way round.
+"""Log-Cholesky coordinates: any numbers give an inertia that some distribution of mass has, and back.
 
-The moments of a body obey the triangle inequality exactly when its second moments Σ = ∫ r rᵀ dm = ½ tr(I) 1 − I are
-positive definite, and a positive definite matrix is L Lᵀ with a positive diagonal. Logarithms of that diagonal make the
-coordinates free: no constraint, no boundary in reach. All functions are smooth and go both ways.
+The moments of a body obey the triangle inequality exactly when its second moments
+Σ = ∫ r rᵀ dm = ½ tr(I) 1 − I are positive definite, and a positive definite matrix is L Lᵀ with a positive diagonal. Logarithms of that
+diagonal make the coordinates free: no constraint, no boundary in reach. All functions are smooth and go both
+ways.
 
-Source: Rucker and Wensing 2022, "Smooth parameterization of rigid-body inertia", IEEE RA-L 7(2), 2771. Their upper
-triangular factor is kept for the ten parameters; the inertia alone uses the lower one.
+Source: Rucker and Wensing 2022, "Smooth parameterization of rigid-body inertia", IEEE RA-L 7(2), 2771. Their
+upper triangular factor is kept for the ten parameters; the inertia alone uses the lower one.
 """
 
 from typing import NamedTuple
@@ -23,7 +24,8 @@ _BELOW = ((1, 0), (2, 0), (2, 1))
 class MassMoments(NamedTuple):
     """Zeroth, first and second moments of a body's mass about the origin of its frame.
 
-    `mass` () [kg], `first_moment` (3,) [kg m] = mass × centre of mass, `inertia` (3, 3) [kg m²] about the origin.
+    `mass` () [kg], `first_moment` (3,) [kg m] = mass × centre of mass, `inertia` (3, 3) [kg m²] about the
+    origin.
     """
 
     mass: Scalar
@@ -81,9 +83,19 @@ def moments_from_coordinates(coordinates: Array) -> MassMoments:
     The pseudo-inertia [[Σ, h], [hᵀ, m]] is U Uᵀ with U = e^α [[e^d₁, s₁₂, s₁₃, t₁], [0, e^d₂, s₂₃, t₂],
     [0, 0, e^d₃, t₃], [0, 0, 0, 1]].
     """
-    alpha, d, (s12, s23, s13), t = coordinates[0], jnp.exp(coordinates[1:4]), coordinates[4:7], coordinates[7:]
+    alpha, d, (s12, s23, s13), t = (
+        coordinates[0],
+        jnp.exp(coordinates[1:4]),
+        coordinates[4:7],
+        coordinates[7:],
+    )
     zero, one = jnp.zeros_like(alpha), jnp.ones_like(alpha)
-    rows = [(d[0], s12, s13, t[0]), (zero, d[1], s23, t[1]), (zero, zero, d[2], t[2]), (zero, zero, zero, one)]
+    rows = [
+        (d[0], s12, s13, t[0]),
+        (zero, d[1], s23, t[1]),
+        (zero, zero, d[2], t[2]),
+        (zero, zero, zero, one),
+    ]
     upper = jnp.exp(alpha) * jnp.stack([jnp.stack(row) for row in rows])
     pseudo = upper @ upper.T
     return MassMoments(pseudo[3, 3], pseudo[:3, 3], inertia_of_second_moments(pseudo[:3, :3]))
@@ -93,7 +105,9 @@ def coordinates_from_moments(moments: MassMoments) -> Array:
     """The ten coordinates (10,) of a body's moments. Raises as `coordinates_from_inertia`."""
     first = jnp.asarray(moments.first_moment)
     mass = jnp.asarray(moments.mass, first.dtype)
-    pseudo = jnp.block([[second_moments(moments.inertia), first[:, None]], [first[None, :], mass[None, None]]])
+    pseudo = jnp.block(
+        [[second_moments(moments.inertia), first[:, None]], [first[None, :], mass[None, None]]]
+    )
     # The lower factor of the matrix read backwards is the upper one, read backwards.
     upper = _cholesky(pseudo[::-1, ::-1], "mass, first moment and inertia", pseudo)[::-1, ::-1]
     alpha = jnp.log(upper[3, 3])
@@ -115,7 +129,7 @@ def _cholesky(matrix: Matrix, name: str, value: Matrix) -> Matrix:
     lower = jnp.linalg.cholesky(matrix)
     if is_concrete(lower) and not np.all(np.isfinite(np.asarray(lower))):
         raise InvalidInput(
-            f"{name} {np.asarray(value).tolist()}: no distribution of mass with three dimensions has it (each moment "
-            "must be below the sum of the other two). Give a thin plate a little thickness."
+            f"{name} {np.asarray(value).tolist()}: no distribution of mass with three dimensions has it (each "
+            "moment must be below the sum of the other two). Give a thin plate a little thickness."
         )
     return lower

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from jaxrb.body.inertia import FullInertia
+from jaxrb.body.validity import inertia_matrix
 from jaxrb.fit.free_fall import FreeFall
 from jaxrb.fit.uncertainty import (
     NAMES,
@@ -28,7 +29,7 @@ NEVER = {
 
 @dataclass(frozen=True)
 class StandardErrors:
-    """Standard errors of I/tr(I): `ratios` (3,) of xx, yy, zz; `products` (3,) of xy, xz, yz; `principal` (3,)."""
+    """Standard errors (3,) of I/tr(I): `ratios` xx, yy, zz, `products` xy, xz, yz, and `principal`."""
 
     ratios: np.ndarray
     products: np.ndarray
@@ -39,15 +40,18 @@ class StandardErrors:
 class Nuisance:
     """What had to be fitted or decided along the way.
 
-    `spin_noise` [rad/s] and `attitude_noise` [rad] are the standard deviations found for one component of one sample,
-    `angular_drag` c [1/s] that of a torque −c tr(I) ω, `integration_error` the largest error of the simulation in units
-    of the noise, `rejected` counts what was left out by reason.
+    `spin_noise` [rad/s] and `attitude_noise` [rad] are the standard deviations found for one component of one
+    sample, `residual_ratio` the former over the scatter from one sample to the next: 1 for a free tumble with
+    white noise, more where something else is in the residuals. `angular_drag` c [1/s] is that of a torque −c
+    tr(I) ω, `integration_error` the largest error of the simulation in units of the noise; `rejected` counts
+    what was left out by reason.
     """
 
     source: str
     free_fall: FreeFall | None
     spin_noise: float | None
     attitude_noise: float | None
+    residual_ratio: float | None
     angular_drag: float | None
     flights_used: int
     samples_used: int
@@ -61,10 +65,11 @@ class Nuisance:
 class InertiaFit:
     """An inertia from a recording.
 
-    `inertia` [kg m²] has trace 1 unless its scale was given (`scale_known`). `ratios` (3,) are I_xx, I_yy, I_zz over
-    tr(I) in the body frame, `principal_ratios` (3,) the principal moments over tr(I), ascending, with their axes as
-    columns of `principal_axes` (3, 3). `standard_errors` and `covariance` (6, 6) of I/tr(I) as xx, yy, zz, xy, xz, yz
-    are the robust ones (`error_kind` says how made); `model_*` believe in independent noise and are shown beside.
+    `inertia` [kg m²] has trace 1 unless its scale was given (`scale_known`). `ratios` (3,) are I_xx, I_yy,
+    I_zz over tr(I) in the body frame, `principal_ratios` (3,) the principal moments over tr(I), ascending,
+    with their axes as columns of `principal_axes` (3, 3). `standard_errors` and `covariance` (6, 6) of
+    I/tr(I) as xx, yy, zz, xy, xz, yz are the robust ones (`error_kind` says how made); `model_*` believe in
+    independent noise and are shown beside.
     """
 
     inertia: FullInertia
@@ -86,11 +91,15 @@ class InertiaFit:
         return "\n".join([*self._table(), *self._unknown(), *self._circumstances()])
 
     def _table(self) -> list[str]:
+        robust, model = self.standard_errors, self.model_standard_errors
+        # Two digits of the smallest error bar.
+        smallest = max(float(np.min(robust.ratios)), 1e-9)
+        digits = int(np.clip(1 - np.floor(np.log10(smallest)), 4, 9))
+        width = digits + 5
         rows = [
             f"Inertia ratios I/tr(I) of {self.nuisance.source}",
-            f"{'':10s}{'value':>9s}  {'± robust':>9s}  {'± model':>9s}",
+            f"{'':10s}{'value':>{width}s}  {'± robust':>{width}s}  {'± model':>{width}s}",
         ]
-        robust, model = self.standard_errors, self.model_standard_errors
         groups = (
             (("I_xx", "I_yy", "I_zz"), self.ratios, robust.ratios, model.ratios),
             (("I_xy", "I_xz", "I_yz"), self.products, robust.products, model.products),
@@ -102,7 +111,10 @@ class InertiaFit:
             ),
         )
         for names, values, errors, others in groups:
-            rows += [f"  {n:8s}{v:9.4f}  {e:9.4f}  {o:9.4f}" for n, v, e, o in zip(names, values, errors, others)]
+            rows += [
+                f"  {n:8s}{v:{width}.{digits}f}  {e:{width}.{digits}f}  {o:{width}.{digits}f}"
+                for n, v, e, o in zip(names, values, errors, others)
+            ]
         return [*rows, f"  (± robust: {self.error_kind})"]
 
     def _unknown(self) -> list[str]:
@@ -124,12 +136,21 @@ class InertiaFit:
         if n.declared_flights:
             lines.append("No positions to cut by: each toss was taken as one free flight.")
         if n.rejected:
-            lines.append("Left out: " + ", ".join(f"{count} × {why}" for why, count in n.rejected.items()) + ".")
+            lines.append(
+                "Left out: " + ", ".join(f"{count} × {why}" for why, count in n.rejected.items()) + "."
+            )
         if n.free_fall is not None:
             lines.append(f"Acceleration: {n.free_fall.sentence()}.")
         noises = ((n.spin_noise, "rad/s in angular velocity"), (n.attitude_noise, "rad in attitude"))
         found = [f"{value:.3g} {what}" for value, what in noises if value is not None]
-        lines.append(f"Noise of a sample: {', '.join(found)}; simulation error at most {n.integration_error:.1e} of it.")
+        lines.append(
+            f"Noise of a sample: {', '.join(found)}; "
+            f"simulation error at most {n.integration_error:.1e} of it."
+        )
+        if n.residual_ratio is not None:
+            lines.append(
+                f"Residuals are {n.residual_ratio:.1f} times the scatter from sample to sample (ideal: 1)."
+            )
         if n.angular_drag is not None:
             lines.append(f"Angular drag: {n.angular_drag:.3g} 1/s.")
         return [*lines, *(f"Fit: {stage}." for stage in n.stages[-1:])]
@@ -142,7 +163,7 @@ class InertiaFit:
             return {key: getattr(which, key).tolist() for key in ("ratios", "products", "principal")}
 
         return {
-            "inertia": np.asarray(self.inertia.as_matrix(), float).tolist(),
+            "inertia": inertia_matrix(self.inertia).tolist(),
             "scale_known": self.scale_known,
             "ratios": self.ratios.tolist(),
             "products": self.products.tolist(),
@@ -159,6 +180,7 @@ class InertiaFit:
                 "free_fall": None if n.free_fall is None else n.free_fall.as_dict(),
                 "spin_noise_rad_s": n.spin_noise,
                 "attitude_noise_rad": n.attitude_noise,
+                "residual_ratio": n.residual_ratio,
                 "angular_drag_1_s": n.angular_drag,
                 "flights_used": n.flights_used,
                 "samples_used": n.samples_used,
@@ -179,7 +201,7 @@ def inertia_fit(
     nuisance: Nuisance,
     trace: float | None,
 ) -> InertiaFit:
-    """Put a fit together: `ratios` (3, 3) at the coordinates `shared`, its information, and each flight's toss."""
+    """Put a fit together from `ratios` (3, 3), the coordinates `shared` and each flight's toss."""
     jacobian = np.zeros((6, len(shared)))
     jacobian[:, :5] = ratio_jacobian(shared)
     model = jacobian @ model_covariance(info) @ jacobian.T
@@ -200,7 +222,7 @@ def inertia_fit(
         model_standard_errors=_standard_errors(model, model_errors),
         model_covariance=model,
         error_kind=kind,
-        identifiable={**{f"ratio_{name}": True for name in NAMES}, **{name: False for name in NEVER}},
+        identifiable={**{f"ratio_{name}": True for name in NAMES}, **dict.fromkeys(NEVER, False)},
         nuisance=nuisance,
     )
 

@@ -1,8 +1,8 @@
 """The trajectory residual: simulate a flight from its first moment, and compare with every sample.
 
-Comparing whole trajectories reaches the Cramér–Rao bound, where regressing on differentiated gyroscope data is eight
-to ten times worse. The motion is the engine's own: `jaxrb.step` with Runge–Kutta 4, so what is fitted is exactly what
-will be simulated.
+Comparing whole trajectories reaches the Cramér–Rao bound, where regressing on differentiated gyroscope data
+is eight to ten times worse. The motion is the engine's own: `jaxrb.step` with Runge–Kutta 4, so what is
+fitted is exactly what will be simulated.
 """
 
 from typing import NamedTuple
@@ -41,9 +41,9 @@ class FlightData(NamedTuple):
 class TrajectoryResidual(eqx.Module):
     """Residual (2 or 1, K, 3), flattened, of one flight, in standard deviations.
 
-    `shared` is (5,) log-Cholesky coordinates of the inertia ratios, and with `drag` a sixth number c: a torque
-    −c tr(I) ω, c in [1/s]. `local` is the first angular velocity (3,) and, where attitudes are compared, a rotation
-    vector (3,) [rad] in the body frame that corrects the first attitude.
+    `shared` is (5,) log-Cholesky coordinates of the inertia ratios, and with `drag` a sixth number c: a
+    torque −c tr(I) ω, c in [1/s]. `local` is the first angular velocity (3,) and, where attitudes are
+    compared, a rotation vector (3,) [rad] in the body frame that corrects the first attitude.
     """
 
     substeps: int = eqx.field(static=True)
@@ -94,7 +94,8 @@ def tumble(
 
     Args:
         inertia: (3, 3), any scale. orientation, angular_velocity: at the start, body frame [rad/s].
-        interval: (K,) [s] to each sample from the one before (from the start, for the first). May be uneven or 0.
+        interval: (K,) [s] to each sample from the one before (from the start, for the first). May be uneven
+            or 0.
         substeps: Runge–Kutta steps in each interval.
         damping: c [1/s] of an optional torque −c tr(I) ω.
 
@@ -117,7 +118,9 @@ def tumble(
 
     def sample(state, span):
         state, _ = jax.lax.scan(
-            lambda s, _: (step(scene, s, None, span / substeps, method=RungeKutta4()), None), state, length=substeps
+            lambda s, _: (step(scene, s, None, span / substeps, method=RungeKutta4()), None),
+            state,
+            length=substeps,
         )
         return state, (state.orientation.wxyz[0], state.angular_velocity[0])
 

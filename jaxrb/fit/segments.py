@@ -1,8 +1,8 @@
 """Free flights in a recording: where nothing but gravity acts on the centre of mass.
 
-In free flight the centre of mass accelerates evenly, straight down, and the angular velocity changes smoothly. Both
-are looked for; every stretch that is left out is counted with its reason. A recording without positions cannot be
-cut: each toss is taken as one flight, as the one who recorded it says.
+In free flight the centre of mass accelerates evenly, straight down, and the angular velocity changes
+smoothly. Both are looked for; every stretch that is left out is counted with its reason. A recording without
+positions cannot be cut: each toss is taken as one flight, as the one who recorded it says.
 """
 
 from dataclasses import dataclass, field
@@ -13,10 +13,11 @@ from jaxrb.errors import InvalidInput
 from jaxrb.io.recording import Recording
 
 STANDARD_GRAVITY = 9.81  # [m/s²], to the two digits that hold anywhere on Earth's surface
-# A window counts as falling freely when its acceleration lies in this ball about gravity (relative); wide enough for a
-# wrong metre or a strong drag, narrow enough to leave out resting, rolling and sliding.
+# A window counts as falling freely when its acceleration lies in this ball about gravity (relative); wide
+# enough for a wrong metre or a strong drag, narrow enough to leave out resting, rolling and sliding.
 _BALL = 0.35
-# Windows are widened until the scatter of their accelerations is at most this part of gravity: flights stand out then.
+# Windows are widened until the scatter of their accelerations is at most this part of gravity: flights stand
+# out then.
 _SCATTER = 0.1
 _SIGMAS = 4.0
 _SIGMAS_SPIN = 8.0  # of second differences of ω, whose noise has heavy tails in camera data
@@ -38,8 +39,9 @@ class Flight:
 class Flights:
     """The free flights of a recording.
 
-    `rejected` counts the stretches left out by reason; `acceleration_scatter` [m/s²] is the noise of one window's
-    acceleration, and `declared` says that there was no position to look at, so every toss is taken as one flight.
+    `rejected` counts the stretches left out by reason; `acceleration_scatter` [m/s²] is the noise of one
+    window's acceleration, and `declared` says that there was no position to look at, so every toss is taken
+    as one flight.
     """
 
     flights: tuple[Flight, ...]
@@ -72,7 +74,10 @@ def find_flights(
         return Flights(kept, _counted({"shorter than 3 samples": len(flights) - len(kept)}), declared=True)
     middle, scatter, windows, half = _falling(recording, gravity)
     smooth = _smooth_spin(recording, windows, half)
-    flights, rejected = [], {"too short": 0, "jump of angular velocity": 0, "position is no parabola of free fall": 0}
+    flights, rejected = (
+        [],
+        {"too short": 0, "jump of angular velocity": 0, "position is no parabola of free fall": 0},
+    )
     for toss, (centres, acceleration) in enumerate(windows):
         free = np.all(np.abs(acceleration - middle) < _SIGMAS * scatter, axis=1)
         for first, last in _runs(free):
@@ -95,7 +100,7 @@ def find_flights(
 
 
 def _falling(recording: Recording, gravity: float):
-    """The usual acceleration (3,) of falling windows, its scatter, and all windows for the smallest good width."""
+    """The usual acceleration (3,) of falling windows, its scatter, all windows, and their half-width."""
     down = np.array([0.0, 0.0, -gravity])
     middle, scatter, windows, half = down, np.inf, [], 1
     while half <= 64:
@@ -116,8 +121,8 @@ def _falling(recording: Recording, gravity: float):
             return middle, scatter, windows, half
         half *= 2
     raise InvalidInput(
-        f"{recording.source}: field 'position' shows no free fall near {gravity} m/s² (z up). Check length_unit, that "
-        "z is up, and that the noise of the positions lets an acceleration be seen."
+        f"{recording.source}: field 'position' shows no free fall near {gravity} m/s² (z up). Check "
+        "length_unit, that z is up, and that the noise of the positions lets an acceleration be seen."
     )
 
 
@@ -147,7 +152,9 @@ def _smooth_spin(recording: Recording, windows: list, half: int) -> np.ndarray:
     bend = np.zeros(len(spin))
     for a, b in zip(recording.starts[:-1], recording.starts[1:]):
         if b - a > 2:
-            bend[a + 1 : b - 1] = np.linalg.norm(spin[a + 2 : b] - 2 * spin[a + 1 : b - 1] + spin[a : b - 2], axis=1)
+            bend[a + 1 : b - 1] = np.linalg.norm(
+                spin[a + 2 : b] - 2 * spin[a + 1 : b - 1] + spin[a : b - 2], axis=1
+            )
     scale = np.median(bend)
     return bend <= _SIGMAS_SPIN * scale if scale > 0 else smooth
 
@@ -170,8 +177,8 @@ def _parabolas(recording: Recording, flights: list[Flight]) -> list[Flight]:
     fits = [parabola(recording, flight) for flight in flights]
     scatter = np.array([np.sqrt(np.mean(residual**2)) for _, residual in fits])
     bend = np.array([coefficients[2] for coefficients, _ in fits])
-    # The error of a parabola's bend goes with the duration to the power −5/2: a body that tips over an edge falls
-    # nearly freely for long enough to pass every window, and shows here.
+    # The error of a parabola's bend goes with the duration to the power −5/2: a body that tips over an edge
+    # falls nearly freely for long enough to pass every window, and shows here.
     duration = np.array([np.ptp(recording.time[flight.start : flight.stop]) for flight in flights])
     deviation = np.abs(bend - np.median(bend, axis=0)) * duration[:, None] ** 2.5
     usual = 1.4826 * np.median(deviation, axis=0)
@@ -180,7 +187,7 @@ def _parabolas(recording: Recording, flights: list[Flight]) -> list[Flight]:
 
 
 def parabola(recording: Recording, flight: Flight) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (3, 3) of 1, t, ½ t² (t from the flight's middle) and residuals (K, 3) [m] of the position."""
+    """Coefficients (3, 3) of 1, t, ½ t² (t from the flight's middle) and residuals (K, 3) [m]."""
     assert recording.position is not None
     time = recording.time[flight.start : flight.stop]
     time = time - time.mean()

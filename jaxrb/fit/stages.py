@@ -1,14 +1,13 @@
-"""The search for the best trajectory fit: short windows first, whole flights last, noise scales and misfits between.
+"""The search for the best trajectory fit: short windows first, then whole flights, noise and misfits.
 
-From a poor start, a long trajectory is lost after a few turns and its sum of squares is full of hollows. Over a window
-of a few radians there is one hollow. So windows are fitted first, all of them at once with the inertia in common, and
-made longer until the inertia is known well enough to follow a whole flight.
+From a poor start, a long trajectory is lost after a few turns and its sum of squares is full of hollows. Over
+a window of a few radians there is one hollow. So windows are fitted first, all of them at once with the
+inertia in common, and made longer until the inertia is known well enough to follow a whole flight.
 """
 
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,14 +16,16 @@ import numpy as np
 
 from jaxrb.fit.least_squares import MEANING, Solution, levenberg_marquardt
 from jaxrb.fit.packing import Pieces, longest_turn, pack, spin_noise, turn_per_sample, whole, windows
-from jaxrb.fit.residuals import FlightData, TrajectoryResidual
+from jaxrb.fit.residuals import RATIO_COORDINATES, FlightData, TrajectoryResidual
 from jaxrb.fit.segments import Flights
 from jaxrb.fit.uncertainty import directions, information
 from jaxrb.io.recording import Recording
 
 _WINDOW_TURN = 4.0  # [rad] of the first windows
 _WINDOW_GROWTH = 8
-_SUBSTEP_TURN = 0.2  # [rad] a Runge–Kutta step may span: its error is then 1e-6 of the turn; checked after the fit
+_SUBSTEP_TURN = (
+    0.2  # [rad] a Runge–Kutta step may span: its error is then 1e-6 of the turn; checked after the fit
+)
 _SHORTEST_WINDOW = 8  # intervals
 _OUTLIER = 4.0  # times the usual misfit
 _ENOUGH_TO_JUDGE = 8  # flights
@@ -54,7 +55,7 @@ class Problem:
 
 @dataclass
 class Fitted:
-    """The best fit found, its data and its misfits. `scales` are of the angular velocity and of the attitude."""
+    """The best fit found, with its data. `scales`: of the angular velocity and of the attitude."""
 
     solution: Solution
     data: FlightData
@@ -70,13 +71,17 @@ def substeps_for(recording: Recording, flights: Flights) -> int:
     return max(1, int(np.ceil(turn_per_sample(recording, flights, 1.0) / _SUBSTEP_TURN)))
 
 
-def search(problem: Problem, shared: np.ndarray, max_iterations: int) -> Fitted:
-    """Fit windows of growing length, then whole flights with noise scales and outliers."""
+def search(problem: Problem, starts: list[np.ndarray], max_iterations: int) -> Fitted:
+    """Fit windows of growing length, then whole flights with noise scales and outliers.
+
+    `starts` are coordinates (P,) to begin from, in the order in which they are tried.
+    """
     scales = np.array([spin_noise(problem.recording, problem.flights), _FIRST_ATTITUDE_SCALE])
     stages: list[str] = []
-    shared, known = _through_windows(problem, shared, scales, max_iterations, stages)
+    starts, known = _through_windows(problem, starts, scales, max_iterations, stages)
     pieces = whole(problem.flights)
-    local = problem.first_local(pieces, known)
+    first = _best_of(problem, starts, pieces, problem.first_local(pieces, known), scales, max_iterations)
+    shared, local = np.asarray(first.shared), np.asarray(first.local)
     weight = np.ones(len(pieces))
     for round_ in range(8):
         data = problem.pack(pieces, scales)
@@ -103,8 +108,25 @@ def solve(residual, shared, local, data, weight, max_iterations: int, free=None)
     )  # fmt: skip
 
 
-def _through_windows(problem: Problem, shared, scales, max_iterations: int, stages: list[str]):
-    """Coordinates that follow whole flights, and the angular velocity at each window's start."""
+def _best_of(problem: Problem, starts: list[np.ndarray], pieces: Pieces, local, scales, max_iterations: int):
+    """The lowest end of the starts. When two have ended at the same cost, the others are not tried."""
+    data = problem.pack(pieces, scales)
+    best, agreed = None, False
+    for shared in starts:
+        there = solve(problem.residual, shared, local, data, np.ones(len(pieces)), max_iterations)
+        cost = float(there.cost)
+        if best is not None:
+            agreed = abs(cost - float(best.cost)) <= 1e-3 * min(cost, float(best.cost))
+        if best is None or cost < float(best.cost):
+            best = there
+        if agreed:
+            break
+    assert best is not None
+    return best
+
+
+def _through_windows(problem: Problem, starts, scales, max_iterations: int, stages: list[str]):
+    """Starts that follow whole flights, and the angular velocity at each window's start."""
     longest = longest_turn(problem.recording, problem.flights)
     per_sample = max(turn_per_sample(problem.recording, problem.flights), 1e-12)
     count = max(_SHORTEST_WINDOW, int(np.ceil(_WINDOW_TURN / per_sample)))
@@ -112,22 +134,27 @@ def _through_windows(problem: Problem, shared, scales, max_iterations: int, stag
     while count * per_sample * 1.5 < longest and count * 1.5 < max(map(len, problem.flights.flights)):
         pieces = windows(problem.flights, count)
         problem.progress(f"{len(pieces)} windows of {count} samples")
-        data = problem.pack(pieces, scales)
         local = problem.first_local(pieces, known)
-        solution = solve(problem.residual, shared, local, data, np.ones(len(pieces)), max_iterations)
+        solution = _best_of(problem, starts, pieces, local, scales, max_iterations)
         stages.append(_account(f"windows of {count} intervals", len(pieces), solution))
         shared, local = np.asarray(solution.shared), np.asarray(solution.local)
-        known = {piece.start: spin[:3] for piece, spin in zip(pieces, local)}
-        samples = float(np.sum(np.asarray(data.present)))
-        squares = 2.0 * float(solution.cost) / samples / 3.0
-        doubt = directions(information(solution.normal, np.ones(len(pieces))), shared).deviation[0]
-        # Lost means a phase error of the order of a radian at the flight's end.
-        first = np.sqrt(np.mean(np.asarray(data.spin_scale)) ** 2 * squares / count) * longest / per_sample
-        first *= float(np.median(np.asarray(data.interval)[:, 1:2]))
-        if np.sqrt(squares) * doubt * longest + first < 0.3:
+        starts, known = [shared], {piece.start: spin[:3] for piece, spin in zip(pieces, local)}
+        if _phase_error(problem, solution, pieces, scales, count) < 0.3:
             break
         count *= _WINDOW_GROWTH
-    return shared, known
+    return starts, known
+
+
+def _phase_error(problem: Problem, solution: Solution, pieces: Pieces, scales, count: int) -> float:
+    """Error [rad] to be expected at the end of the longest flight; at a radian or so the track is lost."""
+    longest = longest_turn(problem.recording, problem.flights)
+    duration = max(np.ptp(problem.recording.time[f.start : f.stop]) for f in problem.flights.flights)
+    channels = problem.residual.use_spin + problem.residual.use_attitude
+    values = 3.0 * channels * sum(map(len, pieces))
+    misfit = np.sqrt(2.0 * float(solution.cost) / values)
+    found = directions(information(solution.normal, np.ones(len(pieces))), np.asarray(solution.shared))
+    start = scales[0] / np.sqrt(count) if problem.residual.use_spin else 0.0
+    return float(misfit * (found.deviation[0] * longest + start * duration))
 
 
 @eqx.filter_jit
@@ -175,26 +202,28 @@ def _account(name: str, count: int, solution: Solution) -> str:
 
 
 def profile_rises(
-    problem: Problem, fitted: Fitted, moves: np.ndarray, deviations: np.ndarray
+    problem: Problem, fitted: Fitted, solution: Solution, moves: np.ndarray, deviations: np.ndarray
 ) -> list[tuple[float, float]]:
-    """How much the cost rises, and how much the information foretells, far out along each direction.
+    """How much the cost of `solution` rises far out along each direction, and how much was foretold.
 
-    Noise can pose as information: a wobble fitted to it has a frequency that seems sharp. Twenty deviations away a real
-    signal is missed by far, while noise is fitted about as well as before.
+    Noise can pose as information: a wobble fitted to it has a frequency that seems sharp. Twenty deviations
+    away a real signal is missed by far, while noise is fitted about as well as before.
     """
     rises: list[tuple[float, float]] = []
-    free = np.zeros(len(np.asarray(fitted.solution.shared)))
-    free[5:] = 1.0
-    base = float(fitted.solution.cost)
     for move, deviation in zip(moves, deviations):
         if not np.isfinite(deviation):
             rises.append((0.0, np.inf))
             continue
         length = min(20.0 * deviation, 2.0 / max(float(np.abs(move).max()), 1e-300))
-        away = np.asarray(fitted.solution.shared).copy()
+        away = np.asarray(solution.shared).copy()
         away[:5] += length * move
-        there: Any = solve(
-            problem.residual, away, fitted.solution.local, fitted.data, fitted.weight, 40, free
-        )
-        rises.append((float(there.cost) - base, 0.5 * (length / deviation) ** 2))
+        there = held(problem, fitted, away)
+        rises.append((float(there.cost) - float(solution.cost), 0.5 * (length / deviation) ** 2))
     return rises
+
+
+def held(problem: Problem, fitted: Fitted, shared: np.ndarray) -> Solution:
+    """The fit with the inertia ratios held at `shared`, everything else free."""
+    free = np.zeros(len(shared))
+    free[RATIO_COORDINATES:] = 1.0
+    return solve(problem.residual, shared, fitted.solution.local, fitted.data, fitted.weight, 40, free)

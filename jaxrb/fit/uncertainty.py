@@ -1,8 +1,8 @@
 """What the data say and do not say: information, error bars, and directions without information. Host side.
 
-Two kinds of error bar. The model-based one believes that residuals are independent noise; on repeated real tosses it
-came out four to five times too small. The robust one is the jackknife over tosses: whatever goes wrong within a toss,
-tosses are independent of one another. It is the one that is quoted.
+Two kinds of error bar. The model-based one believes that residuals are independent noise; on repeated real
+tosses it came out four to five times too small. The robust one is the jackknife over tosses: whatever goes
+wrong within a toss, tosses are independent of one another. It is the one that is quoted.
 """
 
 from typing import NamedTuple
@@ -15,8 +15,8 @@ from jaxrb.fit.parametrise import ratios_from_coordinates
 
 NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
 PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-# An orthonormal basis of the symmetric matrices without trace (Frobenius), as rows of xx, yy, zz, xy, xz, yz: the five
-# directions in which inertia ratios can differ.
+# An orthonormal basis of the symmetric matrices without trace (Frobenius), as rows of xx, yy, zz, xy, xz, yz:
+# the five directions in which inertia ratios can differ.
 _BASIS = np.array(
     [
         [1 / np.sqrt(2), -1 / np.sqrt(2), 0, 0, 0, 0],
@@ -34,7 +34,7 @@ _ROUND_OFF = 1e-10
 
 
 class Information(NamedTuple):
-    """Fisher information (P, P) of the shared parameters, the parts (S, P, P) of the flights, and their scores."""
+    """Fisher information (P, P) of the shared parameters, and each flight's part (S, P, P) and score."""
 
     total: np.ndarray
     parts: np.ndarray
@@ -44,8 +44,8 @@ class Information(NamedTuple):
 class Directions(NamedTuple):
     """Five uncorrelated directions of the ratios: rows of xx, yy, zz, xy, xz, yz (Frobenius length one).
 
-    `deviation` (5,) is the model-based standard deviation along each (inf where the data say nothing), in descending
-    order, and `move` (5, P) the change of the coordinates that goes a unit along it.
+    `deviation` (5,) is the model-based standard deviation along each (inf where the data say nothing), in
+    descending order, and `move` (5, P) the change of the coordinates that goes a unit along it.
     """
 
     rows: np.ndarray
@@ -73,8 +73,8 @@ def model_covariance(info: Information) -> np.ndarray:
 def jackknife_covariance(info: Information, toss: np.ndarray, used: np.ndarray) -> np.ndarray | None:
     """Covariance (P, P) from leaving out one toss at a time, to first order; None for fewer than two tosses.
 
-    θ₋ₜ − θ = (H − Hₜ)⁻¹ gₜ needs no new fit. Bell and McCaffrey 2002 call it CR3: of the sandwiches it errs on the side
-    of caution when tosses are few.
+    θ₋ₜ − θ = (H − Hₜ)⁻¹ gₜ needs no new fit. Bell and McCaffrey 2002 call it CR3: of the sandwiches it errs
+    on the side of caution when tosses are few.
     """
     groups = np.unique(toss[used])
     if len(groups) < 2:
@@ -111,7 +111,7 @@ def directions(info: Information, coordinates: np.ndarray) -> Directions:
 
 
 def principal(ratios: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Principal ratios (3,), ascending, their standard errors (3,), and axes as columns (3, 3) in the body frame."""
+    """Principal ratios (3,), ascending, their standard errors (3,), and their axes as columns (3, 3)."""
     values, axes = np.linalg.eigh(ratios)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     # dλ = n·dI·n, with each off-diagonal number counted on both sides.
@@ -119,10 +119,39 @@ def principal(ratios: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, n
     return values, np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", rows, covariance, rows), 0.0)), axes
 
 
-def in_words(row: np.ndarray) -> str:
-    """A direction (6,) of the ratios as a phrase."""
-    row = row * np.sign(row[np.argmax(np.abs(row))])
-    size = np.abs(row).max()
-    terms = [(value / size, name) for value, name in zip(row, NAMES) if abs(value) > 0.15 * size]
+def in_words(rows: np.ndarray) -> list[str]:
+    """A space of directions, spanned by orthonormal rows (n, 6), in as plain words as it allows."""
+    root = np.sqrt(_WEIGHTS)  # so that the Frobenius product is the plain one
+    left = rows * root
+    words = []
+    for name, row in _PLAIN.items():
+        unit = row * root / np.linalg.norm(row * root)
+        inside = left @ unit
+        if inside @ inside < 0.98 or not len(left):
+            continue
+        words.append(name)
+        # What is left of the space after this direction is taken out of it.
+        rest = left - np.outer(inside, unit)
+        _, size, axes = np.linalg.svd(rest, full_matrices=False)
+        left = axes[size > 0.5]
+    return words + [_sum_of(row / root) for row in left]
+
+
+_PLAIN = {
+    "I_xx against I_yy": np.array([1, -1, 0, 0, 0, 0]),
+    "I_xx against I_zz": np.array([1, 0, -1, 0, 0, 0]),
+    "I_yy against I_zz": np.array([0, 1, -1, 0, 0, 0]),
+    "I_zz against I_xx and I_yy": np.array([-1, -1, 2, 0, 0, 0]),
+    "I_yy against I_xx and I_zz": np.array([-1, 2, -1, 0, 0, 0]),
+    "I_xx against I_yy and I_zz": np.array([2, -1, -1, 0, 0, 0]),
+    "I_xy": np.array([0, 0, 0, 1, 0, 0]),
+    "I_xz": np.array([0, 0, 0, 0, 1, 0]),
+    "I_yz": np.array([0, 0, 0, 0, 0, 1]),
+}
+
+
+def _sum_of(row: np.ndarray) -> str:
+    row = row / row[np.argmax(np.abs(row))]
+    terms = [(value, name) for value, name in zip(row, NAMES) if abs(value) > 0.1]
     text = " ".join(f"{'+' if value > 0 else '−'} {abs(value):.2g} I_{name}" for value, name in terms)
-    return text.removeprefix("+ ")
+    return f"({text.removeprefix('+ ')})"

@@ -9,7 +9,7 @@ import jax
 
 from jaxrb.body.state import State
 from jaxrb.effects.dynamics import Acceleration, Dynamics
-from jaxrb.math.arrays import Scalar, Vector
+from jaxrb.math.arrays import Array, Scalar, Vector, by_components
 from jaxrb.math.rotation import Rotation
 
 
@@ -63,25 +63,25 @@ def moved(state: State, span: Scalar, rate: Rates, after: Scalar) -> State:
     """state + span · rate, at time state.time + after."""
     return State(
         advanced(state.position, span, rate.position),
-        jax.tree.map(lambda x, r: x + span * r, state.orientation, rate.orientation),
+        jax.tree.map(lambda x, r: advanced(x, span, r), state.orientation, rate.orientation),
         advanced(state.velocity, span, rate.velocity),
         advanced(state.angular_velocity, span, rate.angular_velocity),
         state.time + after,
     )
 
 
-def advanced(value: Vector, span: Scalar, rate: Vector | None) -> Vector:
+def advanced(value: Array, span: Scalar, rate: Array | None) -> Array:
     """value + span · rate; a rate of None leaves the value alone, and nothing is compiled."""
-    return value if rate is None else value + span * rate
+    return value if rate is None else by_components(lambda x, r: x + span * r, value, rate)
 
 
 def average(weights: tuple[float, ...], values: list[Any]) -> Any:
     """Weighted sum of trees whose weights add up to one. A leaf that never changed stays itself, at no cost."""
 
-    def mean(*leaves: Any) -> Any:
-        if all(leaf is leaves[0] for leaf in leaves):
-            return leaves[0]
-        terms = [weight * leaf for weight, leaf in zip(weights, leaves, strict=True)]
-        return functools.reduce(operator.add, terms)
+    def weighted(*parts: jax.Array) -> jax.Array:
+        return functools.reduce(operator.add, [w * part for w, part in zip(weights, parts, strict=True)])
+
+    def mean(*leaves: Array) -> Array:
+        return leaves[0] if all(leaf is leaves[0] for leaf in leaves) else by_components(weighted, *leaves)
 
     return jax.tree.map(mean, *values)

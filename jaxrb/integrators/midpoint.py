@@ -33,7 +33,7 @@ class ImplicitMidpoint(Method):
         sweeps = self.sweeps if dynamics.effects or dynamics.fixed_points else 1
         for _ in range(sweeps):
             middle = State(
-                state.position + half * velocity,
+                advanced(state.position, half, velocity),
                 _halfway(state.orientation, _carried(state.orientation, dt * omega)),
                 velocity,
                 omega,
@@ -45,7 +45,7 @@ class ImplicitMidpoint(Method):
             newton = 1 if sweeps > 1 else self.sweeps
             omega = dynamics.inertia.implicit_velocity(state.angular_velocity, omega, wrench.torque, half, newton)
         return State(
-            state.position + dt * velocity,
+            advanced(state.position, dt, velocity),
             _carried(state.orientation, dt * omega),
             2.0 * velocity - state.velocity if velocity is not state.velocity else velocity,
             2.0 * omega - state.angular_velocity if omega is not state.angular_velocity else omega,

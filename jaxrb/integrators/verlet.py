@@ -31,7 +31,7 @@ class VelocityVerlet(Method):
         velocity = advanced(state.velocity, half, first.linear)
         omega = advanced(state.angular_velocity, half, first.angular)
         end = State(
-            state.position + dt * velocity,
+            advanced(state.position, dt, velocity),
             turned(state.orientation, dt * omega),
             advanced(velocity, half, first.linear),
             advanced(omega, half, first.angular),

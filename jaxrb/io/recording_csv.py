@@ -150,9 +150,7 @@ def _numbers(path: Path, names: list[str], rows: list[tuple[int, str]]) -> np.nd
     return table
 
 
-def _fields(
-    path: Path, names: list[str], units: dict[str, float], table: np.ndarray
-) -> dict[str, np.ndarray]:
+def _fields(path: Path, names: list[str], units: dict[str, float], table: np.ndarray) -> dict[str, Any]:
     fields = {}
     for name, columns in GROUPS.items():
         missing = [column for column in columns if column not in names]

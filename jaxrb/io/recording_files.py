@@ -97,13 +97,8 @@ def write_recording(recording: Recording, file: str | Path) -> Path:
             if suffix == ".csv":
                 stream.write(csv_text(recording, metadata).encode())
             else:
-                np.savez_compressed(
-                    stream,
-                    jaxrb_recording=np.asarray(SCHEMA),
-                    length=recording.length,
-                    metadata=np.asarray(metadata),
-                    **recording.columns(),
-                )
+                arrays: dict[str, Any] = {"jaxrb_recording": SCHEMA, "length": recording.length}
+                np.savez_compressed(stream, **arrays, metadata=metadata, **recording.columns())
         os.chmod(scratch, 0o644)  # mkstemp makes it private
         os.replace(scratch, path)
     except OSError as error:

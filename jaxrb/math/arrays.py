@@ -1,52 +1,44 @@
-"""Array types of one rotation or one body, and the two helpers that take vectors apart and put them together.
+"""Array types of one rotation or one body, and arithmetic by components.
 
 Arithmetic of 3- and 4-vectors is written by components. XLA then fuses a whole step into one loop over the bodies,
 where array style (`jnp.cross`, `R @ hat(w)`) leaves small matrix products and copies that it cannot fuse: 45 ns
 against 68 ns a body-step for the matrix kinematics.
 """
 
+from collections.abc import Callable
 from typing import TypeAlias
 
 import jax
 import numpy as np
-from jax import lax
 from jaxtyping import Float, Inexact
 
+from jaxrb.math.stacking import components, stack
+
 Array: TypeAlias = jax.Array | np.ndarray
-Scalar: TypeAlias = Float[Array, "*batch"]
-Vector: TypeAlias = Float[Array, "*batch 3"]
-Matrix: TypeAlias = Float[Array, "*batch 3 3"]
+Scalar: TypeAlias = Float[Array, "*#batch"] | float
+Vector: TypeAlias = Float[Array, "*#batch 3"]
+Matrix: TypeAlias = Float[Array, "*#batch 3 3"]
 Real: TypeAlias = Inexact[Array, "..."]
-
-
-def components(array: Array) -> list[jax.Array]:
-    """The slices of `array` along its last axis.
-
-    `x[..., i]` would do; the bare primitives trace five times faster, and that is the user's waiting time.
-    """
-    array = jax.numpy.asarray(array)
-    axis = array.ndim - 1
-    return [lax.squeeze(lax.slice_in_dim(array, i, i + 1, axis=axis), (axis,)) for i in range(array.shape[axis])]
-
-
-def stack(*parts: jax.Array) -> jax.Array:
-    """The inverse of `components`: puts equally shaped parts side by side along a new last axis."""
-    axis = parts[0].ndim
-    return lax.concatenate([lax.expand_dims(part, (axis,)) for part in parts], axis)
 
 
 def entries(matrix: Array) -> list[list[jax.Array]]:
     """The nine scalars `m[i][j]` of a (..., 3, 3) array."""
-    return [components(row) for row in _rows(matrix)]
+    columns = [components(column) for column in components(matrix)]
+    return [list(row) for row in zip(*columns, strict=True)]
 
 
 def from_entries(rows: list[list[jax.Array]]) -> jax.Array:
     """The inverse of `entries`."""
-    axis = rows[0][0].ndim
-    return lax.concatenate([lax.expand_dims(stack(*row), (axis,)) for row in rows], axis)
+    return stack(*(stack(*column) for column in zip(*rows, strict=True)))
 
 
-def _rows(matrix: Array) -> list[jax.Array]:
-    matrix = jax.numpy.asarray(matrix)
-    axis = matrix.ndim - 2
-    return [lax.squeeze(lax.slice_in_dim(matrix, i, i + 1, axis=axis), (axis,)) for i in range(matrix.shape[axis])]
+def by_components(function: Callable[..., jax.Array], *arrays: Array) -> jax.Array:
+    """An elementwise function of equally shaped (n, 3), (n, 4) or (n, 3, 3) arrays, applied component by component.
+
+    The result is that of `function(*arrays)`. Taken apart, a Runge–Kutta step of 1000 quaternion bodies costs 18 ns a
+    body where whole arrays cost 29 (matrices 34 against 80): each sum then reads and writes whole rows.
+    """
+    if arrays[0].ndim == 3:
+        taken = [entries(array) for array in arrays]
+        return from_entries([[function(*(e[i][j] for e in taken)) for j in range(3)] for i in range(3)])
+    return stack(*(function(*parts) for parts in zip(*(components(array) for array in arrays), strict=True)))

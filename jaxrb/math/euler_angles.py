@@ -10,7 +10,7 @@ from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Array, Matrix, Scalar, Vector, components, stack
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.math.rotation import Drift, Rotation
-from jaxrb.math.safe import arctan2, divide, safe_sqrt
+from jaxrb.math.safe import arctan2, safe_sqrt
 from jaxrb.math.vector import cross, dot
 
 SEQUENCES = tuple("".join(s) for s in itertools.product("xyz", repeat=3) if s[0] != s[1] != s[2])
@@ -64,8 +64,12 @@ class EulerAngles(Rotation):
         bc = cross(b, c)
         det = dot(a, bc)
         w = angular_velocity
-        rates = [divide(dot(w, bc), det), dot(w, b), divide(dot(a, cross(b, w)), det)]
-        return EulerAngles(stack(*rates), self.sequence)
+        # Locked to round-off: cos(π/2) is no exact zero. What turns about the common axis goes to the first angle.
+        locked = jnp.abs(det) <= 4.0 * jnp.finfo(det.dtype).eps
+        inverse = 1.0 / jnp.where(locked, 1.0, det)
+        first = jnp.where(locked, dot(w, a), dot(w, bc) * inverse)
+        third = jnp.where(locked, 0.0, dot(a, cross(b, w)) * inverse)
+        return EulerAngles(stack(first, dot(w, b), third), self.sequence)
 
     def derivative_world(self, angular_velocity: Vector) -> "EulerAngles":
         return self.derivative(self.unrotate(angular_velocity))
@@ -129,8 +133,8 @@ def angles_of(wxyz: Array, sequence: str) -> Array:
     ab, cd = a * a + b * b, c * c + d * d
     middle = 2.0 * arctan2(safe_sqrt(cd), safe_sqrt(ab))
     half_sum, half_difference = arctan2(b, a), arctan2(d, c)
-    # Locked: only the sum or only the difference of the outer angles is determined.
-    tiny = jnp.finfo(wxyz.dtype).eps ** 2 * (ab + cd)
+    # Locked to round-off: only the sum or only the difference of the outer angles is determined.
+    tiny = (4.0 * jnp.finfo(wxyz.dtype).eps) ** 2 * (ab + cd)
     last = jnp.where(ab <= tiny, 2.0 * half_difference, 2.0 * half_sum)
     locked = (ab <= tiny) | (cd <= tiny)
     inner = jnp.where(locked, 0.0, half_sum - half_difference)

@@ -117,7 +117,7 @@ def _scan(one: Any, carry: tuple, given: Vector | None, length: int) -> tuple:
         return one(carry, None if given is None else given[0])[0]
     if length <= 64:
         return lax.scan(one, carry, given, length=length)[0]
-    block = math.isqrt(length)
+    block = _block(length)
     blocks = length // block
 
     def run_block(carry: tuple, given: Vector | None) -> tuple[tuple, None]:
@@ -131,3 +131,10 @@ def _scan(one: Any, carry: tuple, given: Vector | None, length: int) -> tuple:
     if length > blocks * block:
         carry = lax.scan(one, carry, rest, length=length - blocks * block)[0]
     return carry
+
+
+def _block(length: int) -> int:
+    """A divisor of `length` near its root where there is one: a remainder costs a second copy of the step's program."""
+    root = math.isqrt(length)
+    divisors = [d for d in range(max(root // 4, 2), 4 * root) if length % d == 0]
+    return min(divisors, key=lambda d: abs(math.log(d / root)), default=root)
