@@ -14,7 +14,7 @@ from jaxrb.checks import Checked, as_array, quantity
 from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Array, Matrix, Scalar, Vector, components, from_entries, stack
 from jaxrb.math.rotation import Rotation
-from jaxrb.math.safe import normalise
+from jaxrb.math.safe import unit_or
 from jaxrb.math.vector import cross, dot, matmul, solve
 
 
@@ -50,7 +50,8 @@ class Inertia(Checked):
 
     def moment_about(self, axis: Vector) -> Scalar:
         """Moment of inertia n · I n about the axis through the centre of mass along `axis` (any length)."""
-        n = normalise(jnp.asarray(axis))
+        axis = jnp.asarray(axis)
+        n = unit_or(axis, jnp.zeros_like(axis))
         return dot(n, self.apply(n))
 
     def trace(self) -> Scalar:

@@ -44,7 +44,8 @@ class FreeFall:
         ratio = found / expected
         return (
             f"{text}: {100 * (ratio - 1):+.1f} %. A metre read as {ratio:.3f} m would do that (and leave "
-            f"the inertia ratios as they are), or a clock that shows {100 * (ratio**-0.5 - 1):+.1f} %, or air drag"
+            f"the inertia ratios as they are), or a clock that shows {100 * (ratio**-0.5 - 1):+.1f} %, "
+            "or air drag"
         )
 
     def as_dict(self) -> dict[str, Any]:

@@ -117,9 +117,9 @@ def _misfit(problem: Problem, fitted: Fitted) -> float:
 
 def _doubt(misfit: float) -> str:
     return (
-        f"The residuals are {misfit:.1f} times the scatter from sample to sample, so something besides a free "
-        "tumble and noise is in them: air drag (try angular_drag), a contact, a wrong unit or frame, or "
-        "a poor start. Neither the value nor its error bar can be trusted."
+        f"The residuals are {misfit:.1f} times the scatter from sample to sample, so something besides a "
+        "free tumble and noise is in them: air drag (try angular_drag), a contact, a wrong unit or frame, "
+        "or a poor start. Neither the value nor its error bar can be trusted."
     )
 
 
@@ -185,9 +185,10 @@ def _refusal(problem: Problem, open_: Directions) -> str:
     return (
         f"{problem.recording.source}: the motion determines {5 - len(open_.deviation)} of the 5 inertia "
         f"ratios. Left open: {open_words}. Changing the inertia that way changes nothing that was recorded. "
-        f"The spin stays within {angle:.2g}° (root mean square) of the body axis ({axis[0]:.2f}, {axis[1]:.2f}, "
-        f"{axis[2]:.2f}). Record tosses that tumble, about several axes; a pure spin about a principal axis "
-        "shows only that it is one. The scale of the inertia and the mass stay unknown in any free flight."
+        f"The spin stays within {angle:.2g}° (root mean square) of the body axis "
+        f"({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}). Record tosses that tumble, about several "
+        "axes; a pure spin about a principal axis shows only that it is one. The scale of the inertia and "
+        "the mass stay unknown in any free flight."
     )
 
 

@@ -1,9 +1,9 @@
 """Log-Cholesky coordinates: any numbers give an inertia that some distribution of mass has, and back.
 
 The moments of a body obey the triangle inequality exactly when its second moments
-Σ = ∫ r rᵀ dm = ½ tr(I) 1 − I are positive definite, and a positive definite matrix is L Lᵀ with a positive diagonal. Logarithms of that
-diagonal make the coordinates free: no constraint, no boundary in reach. All functions are smooth and go both
-ways.
+Σ = ∫ r rᵀ dm = ½ tr(I) 1 − I are positive definite, and a positive definite matrix is L Lᵀ with a positive
+diagonal. Logarithms of that diagonal make the coordinates free: no constraint, no boundary in reach. All
+functions are smooth and go both ways.
 
 Source: Rucker and Wensing 2022, "Smooth parameterization of rigid-body inertia", IEEE RA-L 7(2), 2771. Their
 upper triangular factor is kept for the ten parameters; the inertia alone uses the lower one.
@@ -125,11 +125,11 @@ def _gram(log_diagonal: Array, below: Array) -> Matrix:
     return jnp.stack([jnp.stack([d1 * d1, xy, xz]), jnp.stack([xy, yy, yz]), jnp.stack([xz, yz, zz])])
 
 
-def _cholesky(matrix: Matrix, name: str, value: Matrix) -> Matrix:
+def _cholesky(matrix: Array, name: str, value: Array) -> Array:
     lower = jnp.linalg.cholesky(matrix)
     if is_concrete(lower) and not np.all(np.isfinite(np.asarray(lower))):
         raise InvalidInput(
-            f"{name} {np.asarray(value).tolist()}: no distribution of mass with three dimensions has it (each "
-            "moment must be below the sum of the other two). Give a thin plate a little thickness."
+            f"{name} {np.asarray(value).tolist()}: no distribution of mass with three dimensions has it "
+            "(each moment must be below the sum of the other two). Give a thin plate a little thickness."
         )
     return lower

@@ -97,8 +97,13 @@ def write_recording(recording: Recording, file: str | Path) -> Path:
             if suffix == ".csv":
                 stream.write(csv_text(recording, metadata).encode())
             else:
-                arrays: dict[str, Any] = {"jaxrb_recording": SCHEMA, "length": recording.length}
-                np.savez_compressed(stream, **arrays, metadata=metadata, **recording.columns())
+                arrays: dict[str, Any] = {
+                    "jaxrb_recording": SCHEMA,
+                    "length": recording.length,
+                    "metadata": metadata,
+                }
+                arrays |= recording.columns()
+                np.savez_compressed(stream, **arrays)
         os.chmod(scratch, 0o644)  # mkstemp makes it private
         os.replace(scratch, path)
     except OSError as error:

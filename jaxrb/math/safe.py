@@ -7,13 +7,14 @@ Every branch that is not taken is first given a harmless argument, since `jnp.wh
 import math
 
 import jax.numpy as jnp
+from jax import lax
 
 from jaxrb.math.arrays import Array, Real, Scalar, Vector
 
 
 def safe_sqrt(x: Scalar) -> Scalar:
-    """√x with derivative 0, not infinity, at x = 0."""
-    positive = x > 0
+    """√x with derivative 0, not infinity, at x = 0. NaN stays NaN."""
+    positive = ~(x <= 0)
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
 
 
@@ -23,9 +24,9 @@ def norm(v: Real) -> Scalar:
 
 
 def normalise(v: Real) -> Real:
-    """v / |v| along the last axis; the zero vector stays zero, with zero derivatives."""
+    """v / |v| along the last axis; the zero vector stays zero, with zero derivatives, and NaN stays NaN."""
     squared = jnp.sum(v * v, axis=-1, keepdims=True)
-    positive = squared > 0
+    positive = ~(squared <= 0)
     return jnp.where(positive, v / jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
 
 
@@ -95,6 +96,9 @@ def divide(numerator: Array, denominator: Array) -> Array:
 
 
 def unit_or(v: Vector, fallback: Vector) -> Vector:
-    """v / |v|, or `fallback` where v is the zero vector."""
-    positive = jnp.sum(v * v, axis=-1, keepdims=True) > 0
-    return jnp.where(positive, normalise(v), fallback)
+    """v / |v| for a v of any length, or `fallback` where v is the zero vector. NaN stays NaN."""
+    # The largest component is taken out first: the square of 1e-30 is no number of float32. It needs no derivative,
+    # since v / |v| does not depend on the scale.
+    size = lax.stop_gradient(jnp.max(jnp.abs(v), axis=-1, keepdims=True))
+    nonzero = size != 0
+    return jnp.where(nonzero, normalise(v / jnp.where(nonzero, size, 1.0)), fallback)

@@ -1,0 +1,119 @@
+"""Elliptic integrals and functions of real argument: Carlson's symmetric integrals and Landen's transformation.
+
+Arrays only, elementwise, any shape. The loops have fixed lengths, long enough for every modulus down to
+`smallest_complement`, so that no batch waits for its worst member and the programs stay small.
+
+None of these functions is differentiated by JAX: where they are used, a derivative is written down in closed form
+(`jaxrb.integrators.free_flight_tangent`).
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxrb.math.arrays import Scalar
+
+
+class Landen(NamedTuple):
+    """Landen's descending chain from one parameter m: `quarter` = K(m), `mean` = π/2K, and per level the modulus k and
+    the complementary parameter 1 − k², (levels, ...)."""
+
+    quarter: Scalar
+    mean: Scalar
+    moduli: jax.Array
+    complements: jax.Array
+
+
+def smallest_complement(dtype) -> float:
+    """The smallest 1 − m that the loops are made for. K is then 42 in float32 and 335 in float64."""
+    return 1e-36 if np.finfo(dtype).bits == 32 else 1e-290
+
+
+def _double(dtype) -> bool:
+    return np.finfo(dtype).bits > 32
+
+
+def landen(complement: Scalar) -> Landen:
+    """The chain that starts at the parameter m = 1 − `complement`, for complements in [smallest_complement, 1].
+
+    Each level replaces (a, b) by its arithmetic and geometric mean, which starts at (1, √complement); the complement
+    is taken as given, since 1 − m has lost it near m = 1. (DLMF 19.8, 22.7; Bulirsch 1965, Numer. Math. 7, 78.)
+    """
+
+    def level(means, _):
+        a, b = means
+        total = a + b
+        return (0.5 * total, jnp.sqrt(a * b)), ((a - b) / total, 4.0 * a * b / (total * total))
+
+    start = (jnp.ones_like(complement), jnp.sqrt(complement))
+    (mean, _), (moduli, complements) = lax.scan(level, start, None, length=13 if _double(complement.dtype) else 9)
+    return Landen(0.5 * np.pi / mean, mean, moduli, complements)
+
+
+def sine_cosine(chain: Landen, phase: Scalar) -> tuple[Scalar, Scalar]:
+    """sn(u), cn(u) for u = `phase` / `mean` with |phase| ≤ π/2, that is |u| ≤ K. (DLMF 22.7(i), read upwards.)"""
+
+    def level(pair, kc):
+        s, c = pair
+        k, complement = kc
+        # dn of this level; no difference is formed, so cn keeps its relative accuracy near u = K.
+        d = jnp.sqrt(complement + (k * c) * (k * c))
+        inverse = 1.0 / (1.0 + k * (s * s))
+        return ((1.0 + k) * s * inverse, c * d * inverse), None
+
+    pair, _ = lax.scan(level, (jnp.sin(phase), jnp.cos(phase)), (chain.moduli, chain.complements), reverse=True)
+    return pair
+
+
+def carlson(x: Scalar, y: Scalar, z: Scalar, p: Scalar) -> tuple[Scalar, Scalar]:
+    """Carlson's R_F(x, y, z) and R_J(x, y, z, p); R_D(x, y, z) is R_J(x, y, z, z).
+
+    For x, y ≥ 0 of which one may be 0, z > 0, and p that equals z or is no smaller than any of the three. (Carlson
+    1995, Numer. Algorithms 10, 13; the sum in R_J as in Carlson 1979, Numer. Math. 33, 1, with a true arctangent in
+    every term: a series in the later ones loses twelve digits for large p.)
+    """
+    mean_f, mean_j = (x + y + z) / 3.0, (x + y + z + 2.0 * p) / 5.0
+    product = (p - x) * (p - y) * (p - z)
+
+    def duplicate(_, carry):
+        x, y, z, p, mean_f, mean_j, total, scale = carry
+        sx, sy, sz, sp = jnp.sqrt(x), jnp.sqrt(y), jnp.sqrt(z), jnp.sqrt(p)
+        shift = sx * sy + sy * sz + sz * sx
+        d = (sp + sx) * (sp + sy) * (sp + sz)
+        excess = product * (scale * scale * scale) / (d * d)
+        root = jnp.sqrt(jnp.where(excess > 0, excess, 1.0))
+        circular = jnp.where(excess > 0, jnp.arctan(root) / root, 1.0)
+        total = total + scale / d * circular
+        return (*(0.25 * (v + shift) for v in (x, y, z, p, mean_f, mean_j)), total, 0.25 * scale)
+
+    start = (x, y, z, p, mean_f, mean_j, jnp.zeros_like(x), jnp.ones_like(x))
+    end = lax.fori_loop(0, 14 if _double(x.dtype) else 10, duplicate, start)
+    _, _, _, _, last_f, last_j, total, scale = end
+    return _first_kind(x, y, mean_f, last_f, scale), _third_kind(x, y, z, mean_j, last_j, scale) + 6.0 * total
+
+
+def _first_kind(x, y, mean, last, scale):
+    """Taylor's series of R_F about equal arguments, after the duplications."""
+    ratio = scale / last
+    a, b = (mean - x) * ratio, (mean - y) * ratio
+    c = -a - b
+    e2, e3 = a * b - c * c, a * b * c
+    return (1.0 - e2 / 10.0 + e3 / 14.0 + e2 * e2 / 24.0 - 3.0 * e2 * e3 / 44.0) / jnp.sqrt(last)
+
+
+def _third_kind(x, y, z, mean, last, scale):
+    """Taylor's series of R_J about equal arguments, after the duplications."""
+    ratio = scale / last
+    a, b, c = (mean - x) * ratio, (mean - y) * ratio, (mean - z) * ratio
+    p = -0.5 * (a + b + c)
+    pp = p * p
+    e2 = a * b + a * c + b * c - 3.0 * pp
+    e3 = a * b * c + 2.0 * e2 * p + 4.0 * p * pp
+    e4 = (2.0 * a * b * c + e2 * p + 3.0 * p * pp) * p
+    e5 = a * b * c * pp
+    series = 1.0 - 3.0 * e2 / 14.0 + e3 / 6.0 + 9.0 * e2 * e2 / 88.0 - 3.0 * e4 / 22.0
+    series = series - 9.0 * e2 * e3 / 52.0 + 3.0 * e5 / 26.0
+    return scale * series / (last * jnp.sqrt(last))

@@ -1,0 +1,213 @@
+"""Values, gradients and Hessians where the textbook formulas divide zero by zero: finite, and correct.
+
+The references are other formulas for the same functions that have no singular point: power series summed to the end,
+and compositions whose derivative is known exactly.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from rotation_samples import GROUPS, largest, numbers, unit_vectors
+
+from jaxrb import EulerAngles, Quaternion, RotationMatrix, hat, slerp
+from jaxrb.math import safe
+from jaxrb.math.vector import matmul
+
+EYE = np.eye(3)
+
+
+def derivatives(function, points):
+    """Value, Jacobian and Hessian at each point, compiled once; forward over reverse covers both modes."""
+    both = jax.jit(jax.vmap(lambda x: (function(x), jax.jacrev(function)(x), jax.jacfwd(jax.jacrev(function))(x))))
+    return [np.asarray(part, np.float64) for part in both(points)]
+
+
+def agree(found, expected, small, orders=3):
+    """Each derivative agrees, relative to its size or one; NaN does not agree."""
+    for order, (one, other) in enumerate(zip(found[:orders], expected[:orders], strict=True)):
+        assert largest(one - other) / max(1.0, largest(other)) < small * 10**order
+
+
+def special_vectors(dtype) -> np.ndarray:
+    """Rotation vectors at zero, near zero, on the switches between series and formula, at half a turn."""
+    axes = np.concatenate([EYE, unit_vectors(4, seed=2)])
+    angles = [1e-300, 1e-20, 1e-9, 1e-4, 0.2, 0.49999, 0.5, 0.50001, 0.99999, 1.0, 1.00001, 2.0, 3.1415, math.pi]
+    vectors = (np.asarray(angles)[:, None, None] * axes).reshape(-1, 3)
+    return np.concatenate([np.zeros((1, 3)), vectors]).astype(dtype)
+
+
+def exponential_series(kind, v):
+    """exp(v) by 32 terms of its power series: no square root, no quotient, accurate beyond half a turn."""
+    if kind is Quaternion:
+        s = 0.25 * jnp.sum(v * v)
+        cosine = sum((-s) ** k / math.factorial(2 * k) for k in range(16))
+        sine = sum((-s) ** k / math.factorial(2 * k + 1) for k in range(16))
+        return jnp.concatenate([cosine[None], 0.5 * sine * v])
+    total = term = jnp.eye(3, dtype=v.dtype)
+    for k in range(1, 33):
+        term = matmul(term, hat(v)) / k
+        total = total + term
+    return total
+
+
+@pytest.mark.parametrize("kind", GROUPS)
+def test_exponential_is_smooth(kind, dtype, tolerance):
+    points = special_vectors(dtype)
+    found = derivatives(lambda v: numbers(kind.exp(v)), points)
+    expected = derivatives(lambda v: exponential_series(kind, v), points)
+    agree(found, expected, tolerance(float64=3e-14, float32=2e-5))
+
+
+@pytest.mark.parametrize("name", ["cosine", "sinc", "cosc", "sinc_defect"])
+def test_entire_functions_have_the_derivatives_of_their_series(name, dtype, tolerance):
+    """On both sides of the switch at 0.25, and third derivatives too: a Hessian of a derivative map needs them."""
+    offset = ["cosine", "sinc", "cosc", "sinc_defect"].index(name)
+
+    def series(s):
+        return sum((-s) ** k / math.factorial(2 * k + offset) for k in range(24))
+
+    def towers(function):
+        first = jax.grad(function)
+        second = jax.grad(first)
+        return jax.jit(jax.vmap(lambda s: jnp.stack([function(s), first(s), second(s), jax.grad(second)(s)])))
+
+    s = np.asarray([0.0, 1e-30, 1e-9, 0.1, 0.2499, 0.25, 0.2501, 0.5, 2.0, 9.0], dtype)
+    error = np.abs(np.asarray(towers(getattr(safe, name))(s) - towers(series)(s)))
+    assert (error.max(0) < tolerance(float64=1e-15, float32=6e-7) * np.asarray([1, 10, 200, 5000])).all()
+
+
+@pytest.mark.parametrize("kind", [Quaternion, RotationMatrix, EulerAngles])
+def test_logarithm_of_the_exponential_is_the_identity_to_second_order(kind, dtype, tolerance):
+    """Value v, Jacobian 1, Hessian 0; beyond half a turn the other way round, v − 2π v/|v|."""
+    points = special_vectors(dtype)
+    if kind is EulerAngles:  # away from the lock of pitch; derivatives there are the subject of another test
+        middle = EulerAngles.exp(points).angles[:, 1]
+        points = points[np.abs(np.cos(middle)) > 0.1]
+
+    def other_way_round(v):
+        return v - 2 * np.pi * v / jnp.sqrt(jnp.sum(v * v))
+
+    found = derivatives(lambda v: kind.exp(v).log(), points)
+    expected = derivatives(lambda v: v, points)
+    around = derivatives(other_way_round, np.where(points == 0, 1, points).astype(dtype))
+    turned = (np.sum(found[0] * points, -1) < 0)[:, None]
+    assert (np.linalg.norm(points, axis=-1) > 3.14)[turned[:, 0]].all()
+    for order in range(3):
+        where = turned.reshape(-1, *[1] * (order + 1))
+        expected[order] = np.where(where, around[order], expected[order])
+    agree(found, expected, tolerance(float64=3e-13, float32=1e-4))
+
+
+@pytest.mark.parametrize("kind", GROUPS)
+def test_slerp_from_equal_ends_is_smooth_in_both(kind, dtype, tolerance):
+    """slerp(R, R exp v, f) = R exp(f v) and slerp(R exp v, R, f) = R exp((1 − f) v), at v = 0 and near it."""
+    points = special_vectors(dtype)
+    points = points[np.linalg.norm(points, axis=-1) < 1e-3]
+    r = kind.exp(np.asarray([0.3, -1.0, 0.4], dtype))
+    small = tolerance(float64=1e-14, float32=3e-6)
+    for function, scale in (
+        (lambda v: slerp(r, r @ kind.exp(v), 0.3), 0.3),
+        (lambda v: slerp(r @ kind.exp(v), r, 0.3), 0.7),
+    ):
+        found = derivatives(lambda v, function=function: numbers(function(v)), points)
+        expected = derivatives(lambda v, scale=scale: numbers(r @ kind.exp(scale * v)), points)
+        agree(found, expected, small)
+    _, rate, bend = derivatives(lambda f: numbers(slerp(r, r, f)), np.asarray([0.0, 0.5], dtype))
+    assert largest(rate) + largest(bend) == 0
+
+
+@pytest.mark.parametrize("kind", GROUPS)
+def test_axis_angle_is_smooth_in_the_angle_and_finite_without_an_axis(kind, dtype, tolerance):
+    axis = np.asarray([0.6, 0.0, 0.8], dtype)
+    found = derivatives(lambda a: numbers(kind.from_axis_angle(axis, a)), np.asarray([0.0, np.pi], dtype))
+    expected = derivatives(lambda a: exponential_series(kind, a * axis), np.asarray([0.0, np.pi], dtype))
+    agree(found, expected, tolerance(float64=1e-14, float32=1e-5))
+    without = derivatives(lambda u: numbers(kind.from_axis_angle(u, jnp.ones((), dtype))), np.zeros((1, 3), dtype))
+    assert all(np.isfinite(part).all() for part in without)
+    for part in (0, 1):
+        at_identity = derivatives(
+            lambda v, part=part: kind.exp(v).as_axis_angle()[part], np.zeros((1, 3), dtype)
+        )
+        assert all(np.isfinite(x).all() for x in at_identity)
+
+
+@pytest.mark.parametrize("kind", GROUPS)
+def test_angle_between_equal_rotations_has_a_zero_gradient_and_elsewhere_the_axis(kind, dtype, tolerance):
+    """|v| has no derivative at zero: zero is chosen there, between those of all directions."""
+    points = np.asarray([[0, 0, 0], [1e-9, 0, 0], [0.3, 0, 0], [0, 0, 3.0]], dtype)
+    one = kind.identity(dtype)
+    value, gradient, hessian = derivatives(lambda v: one.angle_to(kind.exp(v)), points)
+    small = tolerance(float64=1e-14, float32=1e-5)
+    assert largest(value - np.linalg.norm(points, axis=-1)) < small
+    assert largest(gradient - [[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 0, 1]]) < small
+    assert np.isfinite(hessian).all()
+    assert largest(hessian[2] - np.diag([0, 1, 1]) / points[2, 0]) < 100 * small
+
+
+def test_conversions_from_matrices_are_smooth_where_the_largest_component_changes(dtype, tolerance):
+    """Shepperd's four branches meet at thirds of a turn about a diagonal and at half turns about face diagonals."""
+    thirds = 2 * np.pi / 3 * np.asarray([[1, 1, 1], [1, -1, 1], [-1, 1, 1]]) / np.sqrt(3)
+    halves = np.pi * np.asarray([[1, 1, 0], [0, 1, 1], [1, 0, -1]]) / np.sqrt(2)
+    halves_of_halves = np.pi / 2 * EYE
+    points = np.concatenate([np.zeros((1, 3)), np.pi * EYE, thirds, halves, halves_of_halves]).astype(dtype)
+    found = derivatives(lambda v: Quaternion.from_matrix(RotationMatrix.exp(v).matrix).wxyz, points)
+    expected = derivatives(lambda v: Quaternion.exp(v).wxyz, points)
+    sign = np.sign(np.sum(found[0] * expected[0], -1))
+    expected = [part * sign.reshape(-1, *[1] * (part.ndim - 1)) for part in expected]
+    agree(found, expected, tolerance(float64=1e-14, float32=5e-6))
+    found = derivatives(lambda v: Quaternion.exp(v).as_matrix(), points)
+    agree(found, derivatives(lambda v: RotationMatrix.exp(v).matrix, points), tolerance(float64=1e-14, float32=5e-6))
+
+
+@pytest.mark.parametrize("sequence", ["zyx", "zxz", "xyz", "yzy"])
+def test_euler_angles_are_smooth_away_from_lock_and_finite_in_it(sequence, dtype, tolerance):
+    middle = 1.1 if sequence[0] == sequence[2] else 0.6
+    lock = 0.0 if sequence[0] == sequence[2] else np.pi / 2
+
+    def there_and_back(angles):
+        return EulerAngles.from_rotation(EulerAngles(angles, sequence), sequence).angles
+
+    points = np.asarray([[0, middle, 0], [0.5, middle, -2], [3.0, middle, 3.0], [0.2, lock, 0.5]], dtype)
+    found = derivatives(there_and_back, points)
+    regular = [part[:3] for part in found]
+    expected = [points[:3], np.broadcast_to(EYE, (3, 3, 3)), np.zeros((3, 3, 3, 3))]
+    agree(regular, expected, tolerance(float64=2e-14, float32=2e-5))
+    assert all(np.isfinite(part).all() for part in found[:2])
+
+
+def test_lengths_and_directions_at_the_zero_vector(dtype):
+    """|v| and v/|v| have no derivative at zero: the value is zero, and so are the derivatives, in float32 too."""
+    zero = np.zeros((1, 3), dtype)
+    for function in (safe.norm, safe.normalise, lambda v: safe.unit_or(v, jnp.zeros_like(v))):
+        assert sum(largest(part) for part in derivatives(function, zero)) == 0
+    origin = np.zeros(1, dtype)
+    for function in (safe.safe_sqrt, lambda x: safe.arctan2(x, x * 2), lambda x: safe.divide(x, x)):
+        assert sum(largest(part) for part in derivatives(function, origin)) == 0
+
+
+def test_lengths_and_directions_elsewhere(dtype, tolerance):
+    """∂|v| = u and ∂u = (1 − u uᵀ)/|v|."""
+    points = (np.asarray([1e-3, 1.0, 1e3])[:, None] * unit_vectors(3)).astype(dtype)
+    u = points / np.linalg.norm(points, axis=-1, keepdims=True)
+    across = (EYE - u[:, :, None] * u[:, None, :]) / np.linalg.norm(points, axis=-1)[:, None, None]
+    small = tolerance(float64=1e-14, float32=1e-5)
+    _, gradient, hessian = derivatives(safe.norm, points)
+    assert largest(gradient - u) < small
+    assert largest((hessian - across) / np.abs(across).max((1, 2), keepdims=True)) < small
+    for direction in (safe.normalise, lambda v: safe.unit_or(v, jnp.zeros_like(v))):
+        value, jacobian, _ = derivatives(direction, points)
+        assert largest(value - u) < small
+        assert largest((jacobian - across) / np.abs(across).max((1, 2), keepdims=True)) < small
+
+
+def test_nan_is_never_taken_for_zero(dtype):
+    bad = np.asarray([np.nan, 0.0, 1.0], dtype)
+    for function in (safe.norm, safe.normalise, lambda v: safe.unit_or(v, jnp.zeros_like(v))):
+        assert np.isnan(np.asarray(function(bad))).any()
+    assert np.isnan(float(safe.safe_sqrt(bad[0])))
+    assert np.isnan(float(safe.arctan_ratio(bad[0], bad[2])))
+    assert np.isnan(np.asarray(Quaternion(np.full(4, np.nan, dtype)).normalise().wxyz)).all()
+    assert np.isnan(np.asarray(Quaternion.exp(bad).wxyz)).any()
