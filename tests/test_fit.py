@@ -130,6 +130,11 @@ def test_a_spin_about_one_axis_is_not_enough(noise):
     assert np.abs(null[:, 4:]).max() < 0.05
 
 
+def test_a_body_at_rest_says_nothing():
+    with pytest.raises(NotIdentifiable, match="0 of the 5"):
+        fit_inertia(gyroscope(np.zeros((TOSSES, SAMPLES, 3))))
+
+
 def test_one_long_spin_is_not_enough_although_its_noise_looks_like_a_wobble():
     time = np.arange(1500) / 50.0
     spin = np.broadcast_to([0.0, 0.0, 5.0], (1, 1500, 3))

@@ -45,7 +45,9 @@ def free_boxes(count: int = 9, seed: int = 0) -> Boxes:
     axes = random.normal(size=(count, 3))
     spin = random.uniform(1.0, 3.0, (count, 1)) * axes / np.linalg.norm(axes, axis=-1, keepdims=True)
     bodies = tuple(Body.from_shape(Box(h), density=600.0, name=f"box {i}") for i, h in enumerate(half))
-    torque = 0.3 * random.normal(size=(count, 3))
+    # About 0.1 rad/s² whatever the size of the box.
+    trace = np.array([np.asarray(body.inertia.trace()) for body in bodies])
+    torque = 0.03 * trace[:, None] * random.normal(size=(count, 3))
     return Boxes(Scene(bodies), half, grid, spin, torque)
 
 

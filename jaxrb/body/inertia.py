@@ -269,6 +269,20 @@ class PrincipalSolver(InertiaSolver):
             *(f + i * t for f, i, t in zip(free, components(self.inverse), components(torque), strict=True))
         )
 
+    def implicit_velocity(self, start, guess, torque, span, sweeps):
+        # The same Newton steps without the products by zero of the general matrix: a third of the time.
+        k1, k2, k3 = (span * k for k in components(self.coupling))
+        base = start if torque is None else start + span * self.inverse * torque
+        b1, b2, b3 = components(base)
+        omega = guess
+        for _ in range(sweeps):
+            w1, w2, w3 = components(omega)
+            residual = stack(w1 - b1 - k1 * w2 * w3, w2 - b2 - k2 * w3 * w1, w3 - b3 - k3 * w1 * w2)
+            one = jnp.ones_like(w1)
+            columns = (stack(one, -k2 * w3, -k3 * w2), stack(-k1 * w3, one, -k3 * w1), stack(-k1 * w2, -k2 * w1, one))
+            omega = omega - solve(columns, residual)
+        return omega
+
 
 class FullSolver(InertiaSolver):
     """ω̇ = I⁻¹ (Iω × ω + τ); the inverse is formed once: solving at each stage costs 129 ns a body-step, not 36."""

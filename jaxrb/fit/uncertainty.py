@@ -98,6 +98,9 @@ def ratio_jacobian(coordinates: np.ndarray) -> np.ndarray:
 def directions(info: Information, coordinates: np.ndarray) -> Directions:
     """The directions of the ratios in order of ignorance."""
     jacobian = ratio_jacobian(coordinates)
+    if not (np.all(np.isfinite(jacobian)) and np.all(np.isfinite(info.total))):
+        # Noise alone can send the coordinates out of the floating range: nothing is known there.
+        return Directions(_BASIS, np.full(5, np.inf), np.zeros((5, 5)))
     to_basis = (_BASIS * _WEIGHTS) @ jacobian  # (5, 5)
     inverse = np.linalg.pinv(to_basis, rcond=1e-13)
     total = info.total

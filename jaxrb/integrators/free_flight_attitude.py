@@ -66,8 +66,8 @@ def orbit_of(axes: Axes, clock: Clock, moments: Triple, omega: Triple, omega_the
     ka, kb = ia * jnp.abs(ic - ib), ib * jnp.abs(ic - ia)
     d, e = ca * wa * wa + cb * wb * wb, ib * jnp.abs(ib - ia) * wb * wb + ic * jnp.abs(ic - ia) * wc * wc
     outer, inner = divided(ic * jnp.abs(ib - ia), ka), divided(d * ia, e * ic)
-    # ka = 0 is ν = ∞, and then d = 0.
-    small = (inner <= outer) | (ka == 0)
+    # ν' ≤ ν without the divisions: e = 0 is ν' = ∞, ka = 0 is ν = ∞.
+    small = d * ia * ka <= e * ic * (ic * jnp.abs(ib - ia))
     nu = jnp.where(small, inner, outer)
     root = jnp.sqrt(divided(kb, ka, 1.0) * (1.0 + inner))
     return Orbit(
@@ -88,11 +88,18 @@ def angle_lanes(orbit: Orbit, clock: Clock) -> Lanes:
     """The integrals of `angle`: at the start, at the end and over a quarter period."""
     one = jnp.ones_like(clock.m)
     squares = [c * c for c in orbit.cosines]
-    widths = [clock.complement + clock.m * square for square in squares]
+    complement = _complement(clock)
+    widths = [complement + clock.m * square for square in squares]
     arguments = [one + orbit.nu * s * s for s in orbit.sines]
     return Lanes(
-        [*squares, jnp.zeros_like(one)], [*widths, clock.complement], [one] * 3, [*arguments, one + orbit.nu]
+        [*squares, jnp.zeros_like(one)], [*widths, complement], [one] * 3, [*arguments, one + orbit.nu]
     )
+
+
+def _complement(clock: Clock) -> Scalar:
+    """1 − m; exactly on the separatrix, where the clock's stands for 0, one that is nearer 1 and changes no digit of J
+    less its linear part: the quarter period is then 38, not 335, and so is the round-off."""
+    return jnp.where(clock.separatrix, jnp.finfo(clock.m.dtype).eps ** 2, clock.complement)
 
 
 def angle(
@@ -103,7 +110,7 @@ def angle(
     u0, u1 = s0 * first[0], s1 * first[1]
     j0, j1, quarter = (s * s * s * third[i] / 3.0 for i, s in enumerate((s0, s1, jnp.ones_like(s0))))
     period = 2.0 * clock.chain.quarter
-    passed = u0 + clock.rate * clock.remainder - u1
+    passed = clock.rate * clock.remainder + (u0 - u1)
     extra = jnp.round(passed / period)
     turns = clock.halves + extra
     # Near the middle axis the position no longer tells the time, and J grows with the time: that part is taken from it.

@@ -53,6 +53,7 @@ class Clock(NamedTuple):
     complement: Scalar
     rate: Scalar
     chain: Landen
+    separatrix: Scalar
     halves: Scalar
     remainder: Scalar
     beyond: Scalar
@@ -120,7 +121,8 @@ def clock_of(axes: Axes, momentum: Triple, g: Triple, time: Scalar) -> Clock:
     # Exactly on the separatrix the period is infinite. At half of the quarter period that stands for it, the momentum
     # is within √least of the middle axis, and stays.
     whole = rate * time
-    limit = jnp.where((gap > 0) | (span == 0), jnp.inf, 0.5 * chain.quarter)
+    separatrix = (gap <= 0) & (span > 0)
+    limit = jnp.where(separatrix, 0.5 * chain.quarter, jnp.inf)
     argument = jnp.clip(whole, -limit, limit)
     phase = argument * chain.mean
     halves = jnp.round(phase / jnp.pi)
@@ -133,7 +135,7 @@ def clock_of(axes: Axes, momentum: Triple, g: Triple, time: Scalar) -> Clock:
     cosines = [jnp.where(b == i, 1.0, jnp.where(c == i, cn, dn)) for i in range(3)]
     flip = [jnp.where(c == i, 1.0, odd) for i in range(3)]
     return Clock(
-        span, spread, m, complement, rate, chain, halves, remainder, divided(whole - argument, rate),
+        span, spread, m, complement, rate, chain, separatrix, halves, remainder, divided(whole - argument, rate),
         sine, sn, cn, dn, (cosines[0], cosines[1], cosines[2]), (flip[0], flip[1], flip[2]),
     )  # fmt: skip
 

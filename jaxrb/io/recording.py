@@ -8,7 +8,7 @@ what cannot be right is refused.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import numpy as np
@@ -43,6 +43,7 @@ class Recording:
         position: (N, 3) [m, or `length_unit`] of the centre of mass, world frame, z up.
         velocity: (N, 3) [m/s, or `length_unit` per second], world frame.
         length: (T,) number of samples in each toss.
+        time_unit: "s", "ms" or "us". angular_velocity_unit: "rad/s" or "deg/s". length_unit: "m", "cm", "mm".
         metadata: anything that JSON can hold: body, instrument, truth.
         source: what error messages call this recording, such as the file's name.
 
@@ -70,10 +71,10 @@ class Recording:
         velocity: Columns | None = None,
         length: Columns | None = None,
         *,
-        time_unit: Literal["s", "ms", "us"] = "s",
-        angular_velocity_unit: Literal["rad/s", "deg/s"] = "rad/s",
-        angular_velocity_frame: Literal["body", "world"] = "body",
-        length_unit: Literal["m", "cm", "mm"] = "m",
+        time_unit: str = "s",
+        angular_velocity_unit: str = "rad/s",
+        angular_velocity_frame: str = "body",
+        length_unit: str = "m",
         metadata: Mapping[str, Any] | None = None,
         source: str = "Recording",
     ):

@@ -69,7 +69,7 @@ def read_csv(path: Path, declared: dict[str, Any]) -> Recording:
     return Recording(
         **fields,
         length=lengths,
-        angular_velocity_frame=frame or "body",  # pyright: ignore[reportArgumentType]
+        angular_velocity_frame=frame or "body",
         metadata=metadata,
         source=str(path),
     )

@@ -64,8 +64,11 @@ def sine_cosine(chain: Landen, phase: Scalar) -> tuple[Scalar, Scalar]:
         inverse = 1.0 / (1.0 + k * (s * s))
         return ((1.0 + k) * s * inverse, c * d * inverse), None
 
-    pair, _ = lax.scan(level, (jnp.sin(phase), jnp.cos(phase)), (chain.moduli, chain.complements), reverse=True)
-    return pair
+    start = (jnp.sin(phase), jnp.cos(phase))
+    (s, c), _ = lax.scan(level, start, (chain.moduli, chain.complements), reverse=True)
+    # The levels let s² + c² drift from 1 by their round-off.
+    inverse = 1.0 / jnp.sqrt(s * s + c * c)
+    return s * inverse, c * inverse
 
 
 def carlson(x: Scalar, y: Scalar, z: Scalar, p: Scalar) -> tuple[Scalar, Scalar]:

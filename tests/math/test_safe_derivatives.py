@@ -14,21 +14,44 @@ from rotation_samples import GROUPS, largest, numbers, unit_vectors
 
 from jaxrb import EulerAngles, Quaternion, RotationMatrix, hat, slerp
 from jaxrb.math import safe
-from jaxrb.math.vector import matmul
 
 EYE = np.eye(3)
 
 
+# Little optimisation: these programs run once, and their compile time is what the tests cost.
+QUICK = {"xla_backend_optimization_level": 0}
+
+
 def derivatives(function, points):
-    """Value, Jacobian and Hessian at each point, compiled once; forward over reverse covers both modes."""
-    both = jax.jit(jax.vmap(lambda x: (function(x), jax.jacrev(function)(x), jax.jacfwd(jax.jacrev(function))(x))))
-    return [np.asarray(part, np.float64) for part in both(points)]
+    """Value, and first and second derivative along each of six directions, which between them span the Hessian.
+
+    The reverse mode is run too, and must give the same first derivatives.
+    """
+    pairs = np.concatenate([EYE, np.roll(EYE, 1, axis=0) + EYE])
+    directions = (pairs if points.ndim == 2 else np.ones(1)).astype(points.dtype)
+
+    def slope(x, u):
+        return jax.jvp(function, (x,), (u,))[1]
+
+    def at(x):
+        value, pull = jax.vjp(function, x)
+        along = jax.vmap(lambda u: slope(x, u))(directions)
+        bend = jax.vmap(lambda u: jax.jvp(lambda x: slope(x, u), (x,), (u,))[1])(directions)
+        weights = jnp.linspace(0.5, 1.5, value.size, dtype=value.dtype).reshape(value.shape)
+        back = jnp.tensordot(directions, pull(weights)[0], axes=points.ndim - 1)
+        return value, along, bend, back - jnp.tensordot(along, weights, axes=weights.ndim)
+
+    both = jax.jit(jax.vmap(at), compiler_options=QUICK)
+    *parts, mismatch = (np.asarray(part, np.float64) for part in both(points))
+    assert largest(mismatch) <= 1e3 * np.finfo(points.dtype).eps * max(1.0, largest(parts[1]))
+    return parts
 
 
-def agree(found, expected, small, orders=3):
-    """Each derivative agrees, relative to its size or one; NaN does not agree."""
-    for order, (one, other) in enumerate(zip(found[:orders], expected[:orders], strict=True)):
-        assert largest(one - other) / max(1.0, largest(other)) < small * 10**order
+def spread(vectors) -> list:
+    """What `derivatives` gives for the identity map: the points, the six directions, zero."""
+    directions = np.concatenate([EYE, np.roll(EYE, 1, axis=0) + EYE])
+    shape = (len(vectors), 6, 3)
+    return [np.asarray(vectors, np.float64), np.broadcast_to(directions, shape).copy(), np.zeros(shape)]
 
 
 def special_vectors(dtype) -> np.ndarray:
@@ -39,18 +62,26 @@ def special_vectors(dtype) -> np.ndarray:
     return np.concatenate([np.zeros((1, 3)), vectors]).astype(dtype)
 
 
-def exponential_series(kind, v):
-    """exp(v) by 32 terms of its power series: no square root, no quotient, accurate beyond half a turn."""
-    if kind is Quaternion:
-        s = 0.25 * jnp.sum(v * v)
-        cosine = sum((-s) ** k / math.factorial(2 * k) for k in range(16))
-        sine = sum((-s) ** k / math.factorial(2 * k + 1) for k in range(16))
-        return jnp.concatenate([cosine[None], 0.5 * sine * v])
-    total = term = jnp.eye(3, dtype=v.dtype)
-    for k in range(1, 33):
-        term = matmul(term, hat(v)) / k
-        total = total + term
+def agree(found, expected, small):
+    """Each derivative agrees, relative to its size or one; NaN does not agree."""
+    for order, (one, other) in enumerate(zip(found, expected, strict=True)):
+        assert largest(one - other) / max(1.0, largest(other)) < small * 10**order
+
+
+def series(s, offset, terms=20):
+    """Σ (−s)^k / (2k + offset)! by Horner's rule."""
+    total = jnp.zeros_like(s)
+    for k in reversed(range(terms)):
+        total = 1.0 / math.factorial(2 * k + offset) - s * total
     return total
+
+
+def exponential_series(kind, v):
+    """exp(v) by power series: no square root, no quotient, accurate beyond half a turn."""
+    s = jnp.sum(v * v)
+    if kind is Quaternion:
+        return jnp.concatenate([series(0.25 * s, 0)[None], 0.5 * series(0.25 * s, 1) * v])
+    return series(s, 0) * EYE.astype(v.dtype) + series(s, 1) * hat(v) + series(s, 2) * jnp.outer(v, v)
 
 
 @pytest.mark.parametrize("kind", GROUPS)
@@ -66,16 +97,14 @@ def test_entire_functions_have_the_derivatives_of_their_series(name, dtype, tole
     """On both sides of the switch at 0.25, and third derivatives too: a Hessian of a derivative map needs them."""
     offset = ["cosine", "sinc", "cosc", "sinc_defect"].index(name)
 
-    def series(s):
-        return sum((-s) ** k / math.factorial(2 * k + offset) for k in range(24))
-
     def towers(function):
         first = jax.grad(function)
         second = jax.grad(first)
-        return jax.jit(jax.vmap(lambda s: jnp.stack([function(s), first(s), second(s), jax.grad(second)(s)])))
+        tower = jax.vmap(lambda s: jnp.stack([function(s), first(s), second(s), jax.grad(second)(s)]))
+        return jax.jit(tower, compiler_options=QUICK)
 
     s = np.asarray([0.0, 1e-30, 1e-9, 0.1, 0.2499, 0.25, 0.2501, 0.5, 2.0, 9.0], dtype)
-    error = np.abs(np.asarray(towers(getattr(safe, name))(s) - towers(series)(s)))
+    error = np.abs(np.asarray(towers(getattr(safe, name))(s) - towers(lambda s: series(s, offset))(s)))
     assert (error.max(0) < tolerance(float64=1e-15, float32=6e-7) * np.asarray([1, 10, 200, 5000])).all()
 
 
@@ -91,8 +120,8 @@ def test_logarithm_of_the_exponential_is_the_identity_to_second_order(kind, dtyp
         return v - 2 * np.pi * v / jnp.sqrt(jnp.sum(v * v))
 
     found = derivatives(lambda v: kind.exp(v).log(), points)
-    expected = derivatives(lambda v: v, points)
-    around = derivatives(other_way_round, np.where(points == 0, 1, points).astype(dtype))
+    expected = spread(points)
+    around = derivatives(other_way_round, np.where(points.any(-1, keepdims=True), points, 1))
     turned = (np.sum(found[0] * points, -1) < 0)[:, None]
     assert (np.linalg.norm(points, axis=-1) > 3.14)[turned[:, 0]].all()
     for order in range(3):
@@ -116,7 +145,7 @@ def test_slerp_from_equal_ends_is_smooth_in_both(kind, dtype, tolerance):
         expected = derivatives(lambda v, scale=scale: numbers(r @ kind.exp(scale * v)), points)
         agree(found, expected, small)
     _, rate, bend = derivatives(lambda f: numbers(slerp(r, r, f)), np.asarray([0.0, 0.5], dtype))
-    assert largest(rate) + largest(bend) == 0
+    assert largest(rate) + largest(bend) < small
 
 
 @pytest.mark.parametrize("kind", GROUPS)
@@ -139,12 +168,12 @@ def test_angle_between_equal_rotations_has_a_zero_gradient_and_elsewhere_the_axi
     """|v| has no derivative at zero: zero is chosen there, between those of all directions."""
     points = np.asarray([[0, 0, 0], [1e-9, 0, 0], [0.3, 0, 0], [0, 0, 3.0]], dtype)
     one = kind.identity(dtype)
-    value, gradient, hessian = derivatives(lambda v: one.angle_to(kind.exp(v)), points)
+    value, slope, bend = derivatives(lambda v: one.angle_to(kind.exp(v)), points)
     small = tolerance(float64=1e-14, float32=1e-5)
     assert largest(value - np.linalg.norm(points, axis=-1)) < small
-    assert largest(gradient - [[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 0, 1]]) < small
-    assert np.isfinite(hessian).all()
-    assert largest(hessian[2] - np.diag([0, 1, 1]) / points[2, 0]) < 100 * small
+    assert largest(slope[:, :3] - [[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 0, 1]]) < small
+    assert np.isfinite(bend).all()
+    assert largest(bend[2, :3] - np.asarray([0, 1, 1]) / points[2, 0]) < 100 * small
 
 
 def test_conversions_from_matrices_are_smooth_where_the_largest_component_changes(dtype, tolerance):
@@ -158,8 +187,6 @@ def test_conversions_from_matrices_are_smooth_where_the_largest_component_change
     sign = np.sign(np.sum(found[0] * expected[0], -1))
     expected = [part * sign.reshape(-1, *[1] * (part.ndim - 1)) for part in expected]
     agree(found, expected, tolerance(float64=1e-14, float32=5e-6))
-    found = derivatives(lambda v: Quaternion.exp(v).as_matrix(), points)
-    agree(found, derivatives(lambda v: RotationMatrix.exp(v).matrix, points), tolerance(float64=1e-14, float32=5e-6))
 
 
 @pytest.mark.parametrize("sequence", ["zyx", "zxz", "xyz", "yzy"])
@@ -173,8 +200,7 @@ def test_euler_angles_are_smooth_away_from_lock_and_finite_in_it(sequence, dtype
     points = np.asarray([[0, middle, 0], [0.5, middle, -2], [3.0, middle, 3.0], [0.2, lock, 0.5]], dtype)
     found = derivatives(there_and_back, points)
     regular = [part[:3] for part in found]
-    expected = [points[:3], np.broadcast_to(EYE, (3, 3, 3)), np.zeros((3, 3, 3, 3))]
-    agree(regular, expected, tolerance(float64=2e-14, float32=2e-5))
+    agree(regular, spread(points[:3]), tolerance(float64=2e-14, float32=2e-5))
     assert all(np.isfinite(part).all() for part in found[:2])
 
 
@@ -192,15 +218,16 @@ def test_lengths_and_directions_elsewhere(dtype, tolerance):
     """∂|v| = u and ∂u = (1 − u uᵀ)/|v|."""
     points = (np.asarray([1e-3, 1.0, 1e3])[:, None] * unit_vectors(3)).astype(dtype)
     u = points / np.linalg.norm(points, axis=-1, keepdims=True)
-    across = (EYE - u[:, :, None] * u[:, None, :]) / np.linalg.norm(points, axis=-1)[:, None, None]
+    across = EYE - u[:, :, None] * u[:, None, :]
+    length = np.linalg.norm(points, axis=-1)[:, None]
     small = tolerance(float64=1e-14, float32=1e-5)
-    _, gradient, hessian = derivatives(safe.norm, points)
-    assert largest(gradient - u) < small
-    assert largest((hessian - across) / np.abs(across).max((1, 2), keepdims=True)) < small
+    _, slope, bend = derivatives(safe.norm, points)
+    assert largest(slope[:, :3] - u) < small
+    assert largest(bend[:, :3] * length - np.diagonal(across, axis1=1, axis2=2)) < small
     for direction in (safe.normalise, lambda v: safe.unit_or(v, jnp.zeros_like(v))):
-        value, jacobian, _ = derivatives(direction, points)
+        value, slope, _ = derivatives(direction, points)
         assert largest(value - u) < small
-        assert largest((jacobian - across) / np.abs(across).max((1, 2), keepdims=True)) < small
+        assert largest(slope[:, :3] * length[..., None] - across) < small
 
 
 def test_nan_is_never_taken_for_zero(dtype):

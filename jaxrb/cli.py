@@ -1,0 +1,90 @@
+"""The command line: `jaxrb demo | fit | bench`."""
+
+import json as json_text
+import sys
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from jaxrb.errors import JaxrbError
+
+
+def demo(
+    output: Path = Path("jaxrb-demo"),
+    *,
+    json: bool = False,
+) -> None:
+    """Free boxes in each representation, what accuracy costs in time, inertia from a recording, and pictures.
+
+    Example: jaxrb demo --output pictures
+
+    Args:
+        output: folder for the pictures.
+        json: print one JSON object instead of tables.
+    """
+    from jaxrb import demo as demonstration
+
+    found = demonstration.demo(output, bar=sys.stderr.isatty())
+    print(json_text.dumps(found) if json else demonstration.report(found, output))
+
+
+def bench(*, json: bool = False) -> None:
+    """Speed on this machine: start-up, cost of a step, cost of a gradient; the goals beside the figures.
+
+    CPU time of this process, medians; on a shared machine compare figures of one run only.
+
+    Example: taskset -c 0 jaxrb bench
+
+    Args:
+        json: print one JSON object instead of a table.
+    """
+    from tqdm import tqdm
+
+    from jaxrb.bench import workloads
+    from jaxrb.tables import table
+
+    found = list(tqdm(workloads.rows(), disable=not sys.stderr.isatty(), leave=False, unit=" rows"))
+    machine = workloads.machine()
+    if json:
+        print(json_text.dumps({"machine": machine, "rows": found}))
+        return
+    print(", ".join(f"{key} {value}" for key, value in machine.items()))
+    print(table(found))
+
+
+def _fit_command() -> Any:
+    from jaxrb.fit.command import fit
+
+    return fit
+
+
+COMMANDS = {"demo": lambda: demo, "fit": _fit_command, "bench": lambda: bench}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point of `jaxrb`. Exit codes: 0 done, 1 an error that jaxrb explains, 2 a wrong command line."""
+    import jax
+
+    arguments = sys.argv[1:] if arguments is None else arguments
+    x64 = "--float32" not in arguments
+    arguments = [argument for argument in arguments if argument != "--float32"]
+    # Importing every command for the sake of its help text would make each wait for all.
+    chosen = {arguments[0]} & set(COMMANDS) if arguments else set()
+    functions = {name: load() for name, load in COMMANDS.items() if not chosen or name in chosen}
+    try:
+        with jax.enable_x64(x64):
+            tyro.extras.subcommand_cli_from_dict(
+                functions,
+                prog="jaxrb",
+                description="Differentiable rigid-body dynamics that is honest about its accuracy. Commands run in "
+                "float64; add --float32 for float32.",
+                args=arguments,
+            )
+    except JaxrbError as error:
+        print(f"jaxrb: {error}", file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,129 @@
+"""Pictures with matplotlib (extra `[view]`), written without a display."""
+
+import pathlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxrb.accuracy.drift import DriftRun
+from jaxrb.accuracy.work_precision import Point
+from jaxrb.errors import JaxrbError
+
+_FACES = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+_FACE_COLOURS = ["#4c78a8", "#4c78a8", "#f58518", "#f58518", "#54a24b", "#54a24b"]
+
+
+def plotting() -> Any:
+    """matplotlib's pyplot on a backend that needs no display.
+
+    Raises:
+        JaxrbError: matplotlib is not installed; says how to get it.
+    """
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise JaxrbError('pictures need matplotlib: pip install "jaxrb[view]"') from error
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    return pyplot
+
+
+def save(figure: Any, file: pathlib.Path) -> pathlib.Path:
+    """Write a figure and close it."""
+    figure.savefig(file, dpi=130)
+    plotting().close(figure)
+    return file
+
+
+def draw_boxes(axes: Any, half_extents: np.ndarray, positions: np.ndarray, matrices: np.ndarray) -> None:
+    """Boxes (n, 3) at (n, 3) seen through *whatever* matrices (n, 3, 3) a run produced, rotations or not."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    for half, position, matrix in zip(half_extents, positions, matrices, strict=True):
+        world = position + (corners * half) @ matrix.T
+        faces = Poly3DCollection([world[list(face)] for face in _FACES], facecolors=_FACE_COLOURS, edgecolor="k")
+        faces.set_alpha(0.85)
+        faces.set_linewidth(0.5)
+        axes.add_collection3d(faces)
+    centre, reach = positions.mean(axis=0), np.ptp(positions, axis=0).max() / 2 + half_extents.max() * 1.5
+    for set_limit, middle in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), centre, strict=True):
+        set_limit(middle - reach, middle + reach)
+    axes.set_box_aspect((1, 1, 1), zoom=1.7)
+    axes.set_axis_off()
+    axes.view_init(elev=55, azim=-75)
+
+
+def boxes_figure(half_extents: np.ndarray, runs: Sequence[DriftRun], saves: Sequence[int]) -> Any:
+    """The set of boxes of each run (row) at chosen saves (column), drawn with the matrices as they are."""
+    pyplot = plotting()
+    figure = pyplot.figure(figsize=(3.4 * len(saves), 3.2 * len(runs) + 0.5), layout="constrained")
+    for i, run in enumerate(runs):
+        matrices = np.asarray(run.path.states.orientation.as_matrix())
+        positions = np.asarray(run.path.states.position)
+        for j, at in enumerate(saves):
+            axes = figure.add_subplot(len(runs), len(saves), i * len(saves) + j + 1, projection="3d")
+            draw_boxes(axes, half_extents, positions[at], matrices[at])
+            how = "renormalised" if run.renormalised else "as computed"
+            axes.set_title(f"{run.representation}, {how}\n{run.iterations[at]} iterations", fontsize=10)
+    return figure
+
+
+def drift_figure(runs: Sequence[DriftRun]) -> Any:
+    """Scale error, skew and attitude error against iterations, the worst box of each run."""
+    pyplot = plotting()
+    figure, axes = pyplot.subplots(1, 3, figsize=(12.5, 4.2), layout="constrained")
+    for run in runs:
+        how = "renormalised" if run.renormalised else "as computed"
+        label = f"{run.representation}, {how}"
+        style = {"label": label, "linestyle": "--" if run.renormalised else "-"}
+        for panel, values in zip(axes, (np.abs(run.scale), run.skew, run.attitude_error), strict=True):
+            panel.plot(run.iterations[1:], np.maximum(values.max(axis=1)[1:], 1e-17), **style)
+    for panel, title in zip(
+        axes,
+        ("error of scale (breathing, growth)", "skew: largest |cosine| of two axes", "attitude error [rad]"),
+        strict=True,
+    ):
+        panel.set(title=title, xlabel="iterations", yscale="log", xscale="log")
+        panel.grid(alpha=0.3)
+    axes[2].legend(fontsize=8)
+    return figure
+
+
+def work_precision_figure(points: Sequence[Point], bodies: int) -> Any:
+    """Attitude error against CPU time for each method and representation."""
+    pyplot = plotting()
+    figure, axes = pyplot.subplots(figsize=(7.5, 5.0), layout="constrained")
+    names = dict.fromkeys((p.method, p.representation) for p in points)
+    markers = {"quaternion": "o", "rotation matrix": "s"}
+    colours = {m: f"C{i}" for i, m in enumerate(dict.fromkeys(p.method for p in points))}
+    for method, representation in names:
+        chosen = [p for p in points if (p.method, p.representation) == (method, representation)]
+        axes.loglog(
+            [1e6 * p.run_seconds / bodies for p in chosen],
+            [p.attitude_error_rad for p in chosen],
+            marker=markers.get(representation, "^"),
+            color=colours[method],
+            linestyle="-" if representation == "quaternion" else ":",
+            label=f"{method}, {representation}",
+        )
+    axes.set(xlabel="CPU time a body for the whole run [µs]", ylabel="attitude error at the end [rad]")
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize=8)
+    return figure
+
+
+def spin_figure(time: np.ndarray, measured: np.ndarray, fitted: np.ndarray | None, title: str) -> Any:
+    """Angular velocity of a recording (k, 3) and of the fitted motion over time."""
+    pyplot = plotting()
+    figure, axes = pyplot.subplots(figsize=(8.0, 4.2), layout="constrained")
+    for i, name in enumerate("xyz"):
+        axes.plot(time, measured[:, i], ".", color=f"C{i}", markersize=3, label=f"measured ω{name}")
+        if fitted is not None:
+            axes.plot(time, fitted[:, i], "-", color=f"C{i}", linewidth=1, label=f"fitted ω{name}")
+    axes.set(xlabel="time [s]", ylabel="angular velocity in the body frame [rad/s]", title=title)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8, ncols=2)
+    return figure
