@@ -19,9 +19,9 @@ from jaxrb.fit.uncertainty import UNKNOWN, Directions, directions, in_words, inf
 from jaxrb.io.recording import Recording
 from jaxrb.math import Quaternion
 
-# Half a χ² by which the fit must worsen before a direction counts as measured: noise alone reaches about 10
-# when a frequency is free to be chosen.
-_REAL = 15.0
+# Half a χ² by which the fit must worsen before a direction counts as measured. In each flight noise gives
+# about ±1 to a wobble whose frequency is free to be chosen: the sum grows as the root of their number.
+_REAL, _REAL_A_FLIGHT = 15.0, 5.0
 # Residuals this many times the scatter from sample to sample are more than noise; a tracker's smoothing alone
 # makes it 3.
 _MISFIT = 6.0
@@ -155,25 +155,25 @@ def _free_fall(recording: Recording, flights: Flights) -> FreeFall | None:
 def _open_directions(problem: Problem, fitted: Fitted) -> Directions:
     """The directions that the data do not determine."""
     problem.progress("checking that each direction is really seen")
-    open_ = _open_at(problem, fitted, fitted.solution)
-    if not len(open_.deviation):
-        return open_
-    # Where a sphere explains the data as well, it is the honest place to look from: the fit itself may have
-    # bent the inertia to suit the noise.
+    # Where a sphere explains the data as well, it is the honest place to look from: the fit may have bent the
+    # inertia to suit the noise, and there noise poses as a wobble.
     shared = np.asarray(fitted.solution.shared)
     sphere = held(problem, fitted, np.concatenate([np.zeros(RATIO_COORDINATES), shared[RATIO_COORDINATES:]]))
-    if float(sphere.cost) - float(fitted.solution.cost) < 2.0 * _REAL:
-        there = _open_at(problem, fitted, sphere)
-        return there if len(there.deviation) else open_
-    return open_
+    if float(sphere.cost) - float(fitted.solution.cost) < 2.0 * _real(fitted):
+        return _open_at(problem, fitted, sphere)
+    return _open_at(problem, fitted, fitted.solution)
 
 
 def _open_at(problem: Problem, fitted: Fitted, solution: Solution) -> Directions:
     found = directions(information(solution.normal, fitted.weight), np.asarray(solution.shared))
     unknown = found.deviation > UNKNOWN
     rises = profile_rises(problem, fitted, solution, found.move, np.where(unknown, np.inf, found.deviation))
-    unknown |= np.array([rise < min(_REAL, 0.3 * foretold) for rise, foretold in rises])
+    unknown |= np.array([rise < min(_real(fitted), 0.3 * foretold) for rise, foretold in rises])
     return Directions(*(part[unknown] for part in found))
+
+
+def _real(fitted: Fitted) -> float:
+    return _REAL + _REAL_A_FLIGHT * float(np.sqrt(fitted.weight.sum()))
 
 
 def _refusal(problem: Problem, open_: Directions) -> str:

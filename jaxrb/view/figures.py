@@ -1,5 +1,6 @@
 """Pictures with matplotlib (extra `[view]`), written without a display."""
 
+import io
 import pathlib
 from collections.abc import Sequence
 from typing import Any
@@ -14,26 +15,31 @@ _FACES = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), 
 _FACE_COLOURS = ["#4c78a8", "#4c78a8", "#f58518", "#f58518", "#54a24b", "#54a24b"]
 
 
-def plotting() -> Any:
-    """matplotlib's pyplot on a backend that needs no display.
+def new_figure(size: tuple[float, float]) -> Any:
+    """An empty figure of so many inches, outside of any window system; a notebook shows it where it ends a cell.
 
     Raises:
         JaxrbError: matplotlib is not installed; says how to get it.
     """
     try:
-        import matplotlib
+        from matplotlib.figure import Figure
     except ImportError as error:
         raise JaxrbError('pictures need matplotlib: pip install "jaxrb[view]"') from error
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
 
-    return pyplot
+    class Picture(Figure):
+        """A figure that a notebook shows although pyplot does not know it."""
+
+        def _repr_png_(self) -> bytes:
+            buffer = io.BytesIO()
+            self.savefig(buffer, format="png", dpi=72)
+            return buffer.getvalue()
+
+    return Picture(figsize=size, layout="constrained")
 
 
 def save(figure: Any, file: pathlib.Path) -> pathlib.Path:
-    """Write a figure and close it."""
-    figure.savefig(file, dpi=130)
-    plotting().close(figure)
+    """Write a figure."""
+    figure.savefig(file, dpi=110)
     return file
 
 
@@ -58,8 +64,7 @@ def draw_boxes(axes: Any, half_extents: np.ndarray, positions: np.ndarray, matri
 
 def boxes_figure(half_extents: np.ndarray, runs: Sequence[DriftRun], saves: Sequence[int]) -> Any:
     """The set of boxes of each run (row) at chosen saves (column), drawn with the matrices as they are."""
-    pyplot = plotting()
-    figure = pyplot.figure(figsize=(3.4 * len(saves), 3.2 * len(runs) + 0.5), layout="constrained")
+    figure = new_figure((3.2 * len(saves), 2.9 * len(runs) + 0.5))
     for i, run in enumerate(runs):
         matrices = np.asarray(run.path.states.orientation.as_matrix())
         positions = np.asarray(run.path.states.position)
@@ -73,8 +78,8 @@ def boxes_figure(half_extents: np.ndarray, runs: Sequence[DriftRun], saves: Sequ
 
 def drift_figure(runs: Sequence[DriftRun]) -> Any:
     """Scale error, skew and attitude error against iterations, the worst box of each run."""
-    pyplot = plotting()
-    figure, axes = pyplot.subplots(1, 3, figsize=(12.5, 4.2), layout="constrained")
+    figure = new_figure((12.5, 4.2))
+    axes = figure.subplots(1, 3)
     for run in runs:
         how = "renormalised" if run.renormalised else "as computed"
         label = f"{run.representation}, {how}"
@@ -94,8 +99,8 @@ def drift_figure(runs: Sequence[DriftRun]) -> Any:
 
 def work_precision_figure(points: Sequence[Point], bodies: int) -> Any:
     """Attitude error against CPU time for each method and representation."""
-    pyplot = plotting()
-    figure, axes = pyplot.subplots(figsize=(7.5, 5.0), layout="constrained")
+    figure = new_figure((7.5, 5.0))
+    axes = figure.subplots()
     names = dict.fromkeys((p.method, p.representation) for p in points)
     markers = {"quaternion": "o", "rotation matrix": "s"}
     colours = {m: f"C{i}" for i, m in enumerate(dict.fromkeys(p.method for p in points))}
@@ -117,8 +122,8 @@ def work_precision_figure(points: Sequence[Point], bodies: int) -> Any:
 
 def spin_figure(time: np.ndarray, measured: np.ndarray, fitted: np.ndarray | None, title: str) -> Any:
     """Angular velocity of a recording (k, 3) and of the fitted motion over time."""
-    pyplot = plotting()
-    figure, axes = pyplot.subplots(figsize=(8.0, 4.2), layout="constrained")
+    figure = new_figure((8.0, 4.2))
+    axes = figure.subplots()
     for i, name in enumerate("xyz"):
         axes.plot(time, measured[:, i], ".", color=f"C{i}", markersize=3, label=f"measured ω{name}")
         if fitted is not None:

@@ -121,18 +121,18 @@ def test_logarithm_of_the_exponential_is_the_identity_to_second_order(kind, dtyp
 
     found = derivatives(lambda v: kind.exp(v).log(), points)
     expected = spread(points)
-    around = derivatives(other_way_round, np.where(points.any(-1, keepdims=True), points, 1))
+    around = derivatives(other_way_round, np.where(np.abs(points).max(-1, keepdims=True) > 0.1, points, 1))
     turned = (np.sum(found[0] * points, -1) < 0)[:, None]
     assert (np.linalg.norm(points, axis=-1) > 3.14)[turned[:, 0]].all()
     for order in range(3):
-        where = turned.reshape(-1, *[1] * (order + 1))
+        where = turned.reshape(-1, *[1] * (expected[order].ndim - 1))
         expected[order] = np.where(where, around[order], expected[order])
     agree(found, expected, tolerance(float64=3e-13, float32=1e-4))
 
 
-@pytest.mark.parametrize("kind", GROUPS)
-def test_slerp_from_equal_ends_is_smooth_in_both(kind, dtype, tolerance):
+def test_slerp_from_equal_ends_is_smooth_in_both(dtype, tolerance):
     """slerp(R, R exp v, f) = R exp(f v) and slerp(R exp v, R, f) = R exp((1 − f) v), at v = 0 and near it."""
+    kind = Quaternion
     points = special_vectors(dtype)
     points = points[np.linalg.norm(points, axis=-1) < 1e-3]
     r = kind.exp(np.asarray([0.3, -1.0, 0.4], dtype))
@@ -142,33 +142,37 @@ def test_slerp_from_equal_ends_is_smooth_in_both(kind, dtype, tolerance):
         (lambda v: slerp(r @ kind.exp(v), r, 0.3), 0.7),
     ):
         found = derivatives(lambda v, function=function: numbers(function(v)), points)
-        expected = derivatives(lambda v, scale=scale: numbers(r @ kind.exp(scale * v)), points)
-        agree(found, expected, small)
-    _, rate, bend = derivatives(lambda f: numbers(slerp(r, r, f)), np.asarray([0.0, 0.5], dtype))
-    assert largest(rate) + largest(bend) < small
-
-
-@pytest.mark.parametrize("kind", GROUPS)
-def test_axis_angle_is_smooth_in_the_angle_and_finite_without_an_axis(kind, dtype, tolerance):
-    axis = np.asarray([0.6, 0.0, 0.8], dtype)
-    found = derivatives(lambda a: numbers(kind.from_axis_angle(axis, a)), np.asarray([0.0, np.pi], dtype))
-    expected = derivatives(lambda a: exponential_series(kind, a * axis), np.asarray([0.0, np.pi], dtype))
-    agree(found, expected, tolerance(float64=1e-14, float32=1e-5))
-    without = derivatives(lambda u: numbers(kind.from_axis_angle(u, jnp.ones((), dtype))), np.zeros((1, 3), dtype))
-    assert all(np.isfinite(part).all() for part in without)
-    for part in (0, 1):
-        at_identity = derivatives(
-            lambda v, part=part: kind.exp(v).as_axis_angle()[part], np.zeros((1, 3), dtype)
+        expected = derivatives(
+            lambda v, scale=scale: numbers(r @ kind(exponential_series(kind, scale * v))), points
         )
-        assert all(np.isfinite(x).all() for x in at_identity)
+        agree(found, expected, small)
 
 
-@pytest.mark.parametrize("kind", GROUPS)
-def test_angle_between_equal_rotations_has_a_zero_gradient_and_elsewhere_the_axis(kind, dtype, tolerance):
+def test_slerp_between_equal_ends_does_not_depend_on_the_fraction(dtype, tolerance):
+    r = Quaternion.exp(np.asarray([0.3, -1.0, 0.4], dtype))
+    _, rate, bend = derivatives(lambda f: slerp(r, r, f).wxyz, np.asarray([0.0, 0.5], dtype))
+    assert largest(rate) + largest(bend) < tolerance(float64=1e-15, float32=1e-6)
+
+
+def test_axis_angle_is_smooth_in_the_angle_and_finite_without_an_axis(dtype, tolerance):
+    axis = np.asarray([0.6, 0.0, 0.8], dtype)
+    points = np.asarray([0.0, np.pi], dtype)
+    found = derivatives(lambda a: Quaternion.from_axis_angle(axis, a).wxyz, points)
+    expected = derivatives(lambda a: exponential_series(Quaternion, a * axis), points)
+    agree(found, expected, tolerance(float64=1e-14, float32=1e-5))
+    nowhere = np.zeros((1, 3), dtype)
+    without = derivatives(lambda u: Quaternion.from_axis_angle(u, jnp.ones((), dtype)).wxyz, nowhere)
+    assert largest(without[0] - [[1, 0, 0, 0]]) == 0
+    assert largest(without[1]) + largest(without[2]) == 0
+    at_identity = derivatives(lambda v: jnp.append(*Quaternion.exp(v).as_axis_angle()), nowhere)
+    assert all(np.isfinite(x).all() for x in at_identity)
+
+
+def test_angle_between_equal_rotations_has_a_zero_gradient_and_elsewhere_the_axis(dtype, tolerance):
     """|v| has no derivative at zero: zero is chosen there, between those of all directions."""
     points = np.asarray([[0, 0, 0], [1e-9, 0, 0], [0.3, 0, 0], [0, 0, 3.0]], dtype)
-    one = kind.identity(dtype)
-    value, slope, bend = derivatives(lambda v: one.angle_to(kind.exp(v)), points)
+    one = Quaternion.identity(dtype)
+    value, slope, bend = derivatives(lambda v: one.angle_to(Quaternion.exp(v)), points)
     small = tolerance(float64=1e-14, float32=1e-5)
     assert largest(value - np.linalg.norm(points, axis=-1)) < small
     assert largest(slope[:, :3] - [[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 0, 1]]) < small
