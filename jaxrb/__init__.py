@@ -38,6 +38,7 @@ from jaxrb.errors import (
     UnknownName,
     WrongStructure,
 )
+from jaxrb.fit import InertiaFit, RatiosNotIdentifiable, fit_inertia
 from jaxrb.geometry import Box, Capsule, Composite, Cone, Cylinder, Ellipsoid, Pose, Shape, Sphere
 from jaxrb.integrators import (
     METHODS,
@@ -48,6 +49,7 @@ from jaxrb.integrators import (
     SemiImplicitEuler,
     VelocityVerlet,
 )
+from jaxrb.io import Recording, read_recording, write_recording
 from jaxrb.math import (
     Drift,
     EulerAngles,

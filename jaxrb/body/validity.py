@@ -115,13 +115,13 @@ def _check_range(where: str, moments: np.ndarray) -> None:
 
 def check_range(where: str, values: np.ndarray, unit: str) -> None:
     """Refuse numbers whose products leave the floating range, doubt those that look like a wrong unit."""
-    for value in np.ravel(values):
+    for value in np.ravel(values).astype(float):  # the limits are no numbers of float32
         if not 1.0 / _RANGE_REFUSED <= value <= _RANGE_REFUSED:
             raise InvalidInput(
-                f"{where} is {value!r} {unit}: products of such numbers leave the floating range; choose larger units"
+                f"{where} is {value} {unit}: products of such numbers leave the floating range; choose larger units"
             )
         if not 1.0 / _RANGE_DOUBTFUL <= value <= _RANGE_DOUBTFUL:
-            warn(f"{where} is {value!r} {unit}, outside 1e±15: is the unit right?")
+            warn(f"{where} is {value} {unit}, outside 1e±15: is the unit right?")
             return
 
 

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrb.integrators.free_flight_motion import Axes, Clock, Triple, divided, pick
+from jaxrb.integrators.free_flight_motion import Clock, Motion, Triple, divided, pick, triple
 from jaxrb.math.arrays import Scalar, stack
 from jaxrb.math.elliptic import carlson
 from jaxrb.math.quaternion import product
@@ -36,6 +36,12 @@ class Lanes(NamedTuple):
         return list(first), list(third)
 
 
+def joined(groups: list[Lanes]) -> Lanes:
+    """All lanes of all groups, in order."""
+    columns = [[lane for group in groups for lane in group[row]] for row in range(4)]
+    return Lanes(*columns)
+
+
 class Orbit(NamedTuple):
     """Two positions on one orbit, as sine and cosine of the amplitude, and which splitting of ψ serves it."""
 
@@ -50,18 +56,18 @@ class Orbit(NamedTuple):
     sign: Scalar
 
 
-def orbit_of(axes: Axes, clock: Clock, moments: Triple, omega: Triple, omega_then: Triple) -> Orbit:
+def orbit_of(motion: Motion) -> Orbit:
     """Where the motion starts and ends on its orbit."""
-    a, b, c, parity = axes
-    ia, ib, ic = (pick(i, moments) for i in (a, b, c))
+    a, b, c, parity = motion.axes
+    ia, ib, ic = (pick(i, motion.moments) for i in (a, b, c))
     # sin and cos of the amplitude are ω_b and ω_a over their largest values. The sign makes the amplitude grow in time.
     ca, cb = ia * jnp.abs(ic - ia), ib * jnp.abs(ic - ib)
-    wa, wb, wc = (pick(i, omega) for i in (a, b, c))
+    wa, wb, wc = (pick(i, motion.omega) for i in (a, b, c))
     sign = jnp.where(ic >= ia, 1.0, -1.0).astype(ia.dtype)
     forward = parity * sign * jnp.where(wc >= 0, 1.0, -1.0)
     ends = [
         _amplitude(jnp.sqrt(ca) * x, forward * jnp.sqrt(cb) * y)
-        for x, y in ((wa, wb), (pick(a, omega_then), pick(b, omega_then)))
+        for x, y in ((wa, wb), (pick(a, motion.omega_then), pick(b, motion.omega_then)))
     ]
     ka, kb = ia * jnp.abs(ic - ib), ib * jnp.abs(ic - ia)
     d, e = ca * wa * wa + cb * wb * wb, ib * jnp.abs(ib - ia) * wb * wb + ic * jnp.abs(ic - ia) * wc * wc
@@ -102,11 +108,9 @@ def _complement(clock: Clock) -> Scalar:
     return jnp.where(clock.separatrix, jnp.finfo(clock.m.dtype).eps ** 2, clock.complement)
 
 
-def angle(
-    axes: Axes, clock: Clock, orbit: Orbit, moments: Triple, size: Scalar, time: Scalar, first: list, third: list
-) -> Scalar:
-    """ψ(t), from R_F and R_J of the lanes above. `size` is |L|."""
-    (s0, s1), (c0, c1) = orbit.sines, orbit.cosines
+def angle(motion: Motion, orbit: Orbit, first: list[Scalar], third: list[Scalar]) -> Scalar:
+    """ψ(t), from R_F and R_J of the lanes above."""
+    clock, (s0, s1), (c0, c1) = motion.clock, orbit.sines, orbit.cosines
     u0, u1 = s0 * first[0], s1 * first[1]
     j0, j1, quarter = (s * s * s * third[i] / 3.0 for i, s in enumerate((s0, s1, jnp.ones_like(s0))))
     period = 2.0 * clock.chain.quarter
@@ -117,11 +121,11 @@ def angle(
     late = passed - period * extra + clock.rate * clock.beyond
     integral = j1 - j0 + 2.0 * turns * quarter + late / (1.0 + orbit.nu)
     angle0, angle1 = (_position_angle(orbit, clock, s, c) for s, c in ((s0, c0), (s1, c1)))
-    ia, ic = pick(axes.a, moments), pick(axes.c, moments)
+    ia, ic = pick(motion.axes.a, motion.moments), pick(motion.axes.c, motion.moments)
     winding = jnp.where(orbit.inner, 0.0, np.pi * turns)
     sign = jnp.where(orbit.inner, orbit.sign, -orbit.sign)
-    rate = size / jnp.where(orbit.inner, ic, ia)
-    return rate * time + sign * (orbit.weight * integral + (angle1 - angle0) + winding)
+    rate = _length(motion.momentum) / jnp.where(orbit.inner, ic, ia)
+    return rate * motion.time + sign * (orbit.weight * integral + (angle1 - angle0) + winding)
 
 
 def _position_angle(orbit: Orbit, clock: Clock, s: Scalar, c: Scalar) -> Scalar:
@@ -134,22 +138,26 @@ def _position_angle(orbit: Orbit, clock: Clock, s: Scalar, c: Scalar) -> Scalar:
     return jnp.arctan2(y, x)
 
 
-def attitude(axes: Axes, momentum: Triple, momentum_then: Triple, psi: Scalar) -> jax.Array:
+def attitude(motion: Motion, psi: Scalar) -> jax.Array:
     """The rotation p(n₀)⁻¹ · Rot(e, ψ) · p(n) as wxyz (4,)."""
-    sign = jnp.where(pick(axes.c, momentum) >= 0, 1.0, -1.0).astype(psi.dtype)
-    e = tuple(jnp.where(axes.c == i, sign, 0.0).astype(psi.dtype) for i in range(3))
-    w, x, y, z = _to_end(momentum, e)
+    end = motion.axes.c
+    sign = jnp.where(pick(end, motion.momentum) >= 0, 1.0, -1.0).astype(psi.dtype)
+    e = triple(lambda i, j, k: jnp.where(end == i, sign, 0.0))
+    w, x, y, z = _to_end(motion.momentum, e)
     half = 0.5 * psi
     s = jnp.sin(half)
     turn = stack(jnp.cos(half), *(s * component for component in e))
-    return product(product(stack(w, -x, -y, -z), turn), stack(*_to_end(momentum_then, e)))
+    return product(product(stack(w, -x, -y, -z), turn), stack(*_to_end(motion.momentum_then, e)))
 
 
-def _to_end(momentum: Triple, e: tuple) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+def _length(v: Triple) -> Scalar:
+    return jnp.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+
+
+def _to_end(momentum: Triple, e: Triple) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     """Smallest rotation that takes the direction of the momentum to the unit vector e, which is less than π away."""
     x, y, z = momentum
-    size = jnp.sqrt(x * x + y * y + z * z)
-    w = size + (x * e[0] + y * e[1] + z * e[2])
+    w = _length(momentum) + (x * e[0] + y * e[1] + z * e[2])
     v = (y * e[2] - z * e[1], z * e[0] - x * e[2], x * e[1] - y * e[0])
     squared = w * w + v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
     rest = squared == 0

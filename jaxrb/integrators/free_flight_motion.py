@@ -16,18 +16,15 @@ and S, C_a, C_b, C_c = sn(λt)/λ, dn, 1, cn with λ² = e_c − e_b, m λ² = e
 (Whittaker, "Analytical Dynamics", §69; DLMF 22.8, 23.2; Lawden, "Elliptic Functions and Applications", chapter 5.)
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-from jax import lax
 
-from jaxrb.math.arrays import Scalar, stack
-from jaxrb.math.elliptic import Landen, carlson, landen, sine_cosine, smallest_complement
-from jaxrb.math.quaternion import product
+from jaxrb.math.arrays import Scalar
+from jaxrb.math.elliptic import Landen, landen, sine_cosine, smallest_complement
 
 Triple = tuple[Scalar, Scalar, Scalar]
-CYCLIC = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 
 
 class Axes(NamedTuple):
@@ -58,7 +55,6 @@ class Clock(NamedTuple):
     remainder: Scalar
     beyond: Scalar
     sine: Scalar
-    sn: Scalar
     cn: Scalar
     dn: Scalar
     cosines: Triple
@@ -66,13 +62,22 @@ class Clock(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """A free rotation after its time: `wxyz` from the body's axes then to those at the start, and ω then."""
+    """One body's rotation: at the start (`omega`, `momentum`) and after `time` (`omega_then`, `momentum_then`).
 
-    wxyz: jax.Array
+    `base` is the momentum then, before the flip by half periods, and `denominator` its D.
+    """
+
+    time: Scalar
+    moments: Triple
+    g: Triple
     omega: Triple
     momentum: Triple
-    unflipped: Triple
+    axes: Axes
+    clock: Clock
+    base: Triple
     denominator: Scalar
+    momentum_then: Triple
+    omega_then: Triple
 
 
 def pick(index: Scalar, values: Triple) -> Scalar:
@@ -86,10 +91,14 @@ def divided(numerator: Scalar, denominator: Scalar, otherwise: float = 0.0) -> S
     return jnp.where(zero, otherwise, numerator / jnp.where(zero, 1.0, denominator))
 
 
+def triple(function: Callable[[int, int, int], Scalar]) -> Triple:
+    """(f(0, 1, 2), f(1, 2, 0), f(2, 0, 1)): one value for each axis, or for each pair by its third axis."""
+    return function(0, 1, 2), function(1, 2, 0), function(2, 0, 1)
+
+
 def couplings(moments: Triple) -> Triple:
     """g_i = J_k − J_j, from the difference of the moments: J_k − J_j itself cancels for nearly equal ones."""
-    g = [(moments[j] - moments[k]) / (moments[j] * moments[k]) for _, j, k in CYCLIC]
-    return g[0], g[1], g[2]
+    return triple(lambda i, j, k: (moments[j] - moments[k]) / (moments[j] * moments[k]))
 
 
 def axes_of(moments: Triple, momentum: Triple, g: Triple) -> Axes:
@@ -132,23 +141,27 @@ def clock_of(axes: Axes, momentum: Triple, g: Triple, time: Scalar) -> Clock:
     sine = jnp.where(rate == 0, time, divided(sn, rate))
     remainder = jnp.where(rate == 0, time, divided(phase, chain.mean * rate))
     odd = jnp.where(halves % 2 == 0, 1.0, -1.0).astype(span.dtype)
-    cosines = [jnp.where(b == i, 1.0, jnp.where(c == i, cn, dn)) for i in range(3)]
-    flip = [jnp.where(c == i, 1.0, odd) for i in range(3)]
+    cosines = triple(lambda i, j, k: jnp.where(b == i, 1.0, jnp.where(c == i, cn, dn)))
+    flip = triple(lambda i, j, k: jnp.where(c == i, 1.0, odd))
     return Clock(
         span, spread, m, complement, rate, chain, separatrix, halves, remainder, divided(whole - argument, rate),
-        sine, sn, cn, dn, (cosines[0], cosines[1], cosines[2]), (flip[0], flip[1], flip[2]),
+        sine, cn, dn, cosines, flip,
     )  # fmt: skip
 
 
-def momentum_then(axes: Axes, clock: Clock, momentum: Triple, g: Triple) -> tuple[Triple, Scalar]:
-    """L(t) by the addition theorem, before the flip by half periods, and the denominator D."""
-    a = axes.a
-    products = tuple(g[j] * g[k] for _, j, k in CYCLIC)
+def motion_of(moments: Triple, omega: Triple, time: Scalar) -> Motion:
+    """L(t) and ω(t) by the addition theorem."""
+    momentum = triple(lambda i, j, k: moments[i] * omega[i])
+    g = couplings(moments)
+    axes = axes_of(moments, momentum, g)
+    clock = clock_of(axes, momentum, g, time)
+    products = triple(lambda i, j, k: g[j] * g[k])
     # Both terms are positive for the axes a and c, whose neighbours' g have opposite signs.
-    denominator = clock.dn * clock.dn - pick(a, products) * (pick(a, momentum) * clock.sine) ** 2  # type: ignore[arg-type]
-    s, cosine, inverse = clock.sine, clock.cosines, 1.0 / denominator
-    new = [
-        (momentum[i] * cosine[j] * cosine[k] + g[i] * momentum[j] * momentum[k] * s * cosine[i]) * inverse
-        for i, j, k in CYCLIC
-    ]
-    return (new[0], new[1], new[2]), denominator
+    denominator = clock.dn * clock.dn - pick(axes.a, products) * (pick(axes.a, momentum) * clock.sine) ** 2
+    s, c, inverse = clock.sine, clock.cosines, 1.0 / denominator
+    base = triple(
+        lambda i, j, k: (momentum[i] * c[j] * c[k] + g[i] * momentum[j] * momentum[k] * s * c[i]) * inverse
+    )
+    then = triple(lambda i, j, k: clock.flip[i] * base[i])
+    omega_then = triple(lambda i, j, k: then[i] / moments[i])
+    return Motion(time, moments, g, omega, momentum, axes, clock, base, denominator, then, omega_then)

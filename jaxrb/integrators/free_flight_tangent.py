@@ -11,39 +11,36 @@ of it is a polynomial in L and g times S, C_i and two integrals over time, ∫ S
 by a difference of moments, by the modulus or by an amplitude. The products of inertia are varied too, so that a full
 tensor needs no derivative of its principal axes: the formula for L(t) is a function of the matrix J, and its divided
 differences (C_i − C_j)/(e_i − e_j) are −S²/(C_i + C_j).
+
+Off-diagonal entries, and every quantity of a pair of axes (i, j), are listed by the third axis k.
 """
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from jaxrb.integrators.free_flight_attitude import Lanes
-from jaxrb.integrators.free_flight_motion import CYCLIC, Axes, Clock, Triple, divided, pick
-from jaxrb.math.arrays import Scalar
-
-# Pairs (i, j) of axes by the third one k: products of inertia and off-diagonal variations are listed by it.
-ROUND = ((1, 2, 0), (2, 0, 1), (0, 1, 2))
-
-
-class Body(NamedTuple):
-    """Moments and momentum at the start, and what follows from them."""
-
-    moments: Triple
-    inverse: Triple
-    g: Triple
-    h: Triple
-    omega: Triple
-    momentum: Triple
+from jaxrb.integrators.free_flight_motion import Clock, Motion, Triple, divided, pick, triple
+from jaxrb.math.arrays import Scalar, Vector, components, stack
+from jaxrb.math.quaternion import Quaternion, product
+from jaxrb.math.vector import cross, dot
 
 
 class Variation(NamedTuple):
-    """Variations of J (three diagonal entries, three others by third axis), momentum and ω at the start, energy."""
+    """What is varied: J (`diagonal` and `others`), momentum and ω at the start, and with them the energy T.
+
+    `inverse` is J itself and h_k = L² J_k − 2T, so that e_j − e_i = −g_k h_k; `dg` the variation of g.
+    """
 
     diagonal: Triple
     others: Triple
     momentum: Triple
     omega: Triple
     energy: Scalar
+    inverse: Triple
+    h: Triple
+    dg: Triple
 
 
 class Integrals(NamedTuple):
@@ -62,161 +59,191 @@ class ClockVariation(NamedTuple):
     half_period: Scalar
 
 
-def triple(function) -> Triple:
-    """(f(i, j, k)) for the three cyclic triples of axes, listed by i."""
-    return tuple(function(i, j, k) for i, j, k in CYCLIC)  # type: ignore[return-value]
-
-
-def body_of(moments: Triple, omega: Triple, g: Triple) -> Body:
-    """h_k = L² J_k − 2T is a sum over the two other axes; formed as a difference it would cancel."""
-    momentum = triple(lambda i, j, k: moments[i] * omega[i])
-    h = triple(lambda k, i, j: g[i] * momentum[j] ** 2 - g[j] * momentum[i] ** 2)
-    return Body(moments, triple(lambda i, j, k: 1.0 / moments[i]), g, h, omega, momentum)
-
-
-def variation_of(body: Body, omega: Triple, moments: Triple, products: Triple) -> Variation:
-    """From variations of ω, of the moments and of the products of inertia (matrix entries, by third axis)."""
-    inverse, w = body.inverse, body.omega
-    turned = triple(lambda i, j, k: moments[i] * w[i] + products[k] * w[j] + products[j] * w[k])
-    momentum = triple(lambda i, j, k: body.moments[i] * omega[i] + turned[i])
-    energy = sum((w[i] * (momentum[i] - 0.5 * turned[i]) for i in range(3)), jnp.zeros_like(w[0]))
-    return Variation(
-        triple(lambda i, j, k: -moments[i] * inverse[i] ** 2),
-        triple(lambda k, i, j: -products[k] * inverse[i] * inverse[j]),
-        momentum,
-        omega,
-        energy,
-    )
-
-
 def integral_lanes(clock: Clock) -> Lanes:
-    """Arguments of Carlson's R_D for `integrals`."""
-    one, c2, d2 = jnp.ones_like(clock.m), clock.cn * clock.cn, clock.dn * clock.dn
-    m1 = clock.complement
+    """Arguments of Carlson's R_D for `Integrals`."""
+    one, c2, d2, m1 = jnp.ones_like(clock.m), clock.cn * clock.cn, clock.dn * clock.dn, clock.complement
     return Lanes([c2, c2, jnp.zeros_like(one)], [d2, one, one], [one, d2, m1], [one, d2, m1])
 
 
-def integrals_of(clock: Clock, third: list) -> Integrals:
-    """From R_D of the lanes above."""
-    cube = clock.sine * clock.sine * clock.sine / 3.0
-    return Integrals(cube * third[0], cube * third[1], third[2] / 3.0)
+def tangent_of(
+    motion: Motion,
+    wxyz: jax.Array,
+    third: list[Scalar],
+    omega: Vector,
+    moments: Vector,
+    products: Vector,
+    time: Scalar,
+) -> tuple[jax.Array, Vector]:
+    """Variations of the rotation wxyz (4,) and of ω then (3,), from those of ω, moments, products of inertia and time.
+
+    `third` is R_D of the lanes above.
+    """
+    cube = motion.clock.sine**3 / 3.0
+    integrals = Integrals(cube * third[0], cube * third[1], third[2] / 3.0)
+    v = _variation(motion, components(omega), components(moments), components(products))
+    clock = _clock_variation(motion, v, integrals)
+    rate = cross(stack(*motion.momentum_then), stack(*motion.omega_then))
+    dmomentum = stack(*_flipped(motion, v, clock, _momentum_variation(motion, v, clock), components(rate)))
+    domega = stack(*v.inverse) * dmomentum + _varied_j(v, motion.momentum_then)
+    along = motion.time * v.energy + _action(motion, v, integrals)
+    turn = _turn(motion, v, Quaternion(wxyz), dmomentum, domega, along) + stack(*motion.omega_then) * time
+    change = product(wxyz, stack(jnp.zeros_like(time), *(0.5 * c for c in components(turn))))
+    return change, domega + stack(*v.inverse) * rate * time
 
 
-def clock_variation(axes: Axes, clock: Clock, body: Body, v: Variation, integrals: Integrals) -> ClockVariation:
-    """From the variations of e_c − e_b and e_a − e_b; ∂ am/∂m at fixed u is −½ Δ ∫ sin²/Δ³ dφ."""
-    g, h, momentum, j_ = body.g, body.h, body.momentum, v.diagonal
-    mixed = 2.0 * sum(v.others[k] * momentum[i] * momentum[j] for k, i, j in CYCLIC)
-    dg = triple(lambda i, j, k: j_[k] - j_[j])
-    dh = triple(
-        lambda k, i, j: 2.0 * (g[i] * momentum[j] * v.momentum[j] - g[j] * momentum[i] * v.momentum[i])
-        + (dg[i] * momentum[j] ** 2 - dg[j] * momentum[i] ** 2)
-        - mixed
+def _variation(motion: Motion, omega: list[Scalar], moments: list[Scalar], products: list[Scalar]) -> Variation:
+    inverse, w, l = triple(lambda i, j, k: 1.0 / motion.moments[i]), motion.omega, motion.momentum
+    turned = triple(lambda i, j, k: moments[i] * w[i] + products[k] * w[j] + products[j] * w[k])
+    momentum = triple(lambda i, j, k: motion.moments[i] * omega[i] + turned[i])
+    energy = triple(lambda i, j, k: w[i] * (momentum[i] - 0.5 * turned[i]))
+    diagonal = triple(lambda i, j, k: -moments[i] * inverse[i] ** 2)
+    return Variation(
+        diagonal,
+        triple(lambda k, i, j: -products[k] * inverse[i] * inverse[j]),
+        momentum,
+        (omega[0], omega[1], omega[2]),
+        energy[0] + energy[1] + energy[2],
+        inverse,
+        # As the difference L² J_k − 2T it would cancel.
+        triple(lambda k, i, j: motion.g[i] * l[j] ** 2 - motion.g[j] * l[i] ** 2),
+        triple(lambda i, j, k: diagonal[k] - diagonal[j]),
     )
-    change = triple(lambda k, i, j: -(dg[k] * h[k] + g[k] * dh[k]))  # of e_j − e_i
-    span, spread = axes.parity * pick(axes.a, change), -axes.parity * pick(axes.c, change)
-    # e_c − e_a and its variation are small near the separatrix; as differences of the two others they would be lost.
-    narrow = clock.complement * span + axes.parity * pick(axes.b, change)
+
+
+def _varied_j(v: Variation, x: Triple) -> Vector:
+    """δJ x (3,)."""
+    return stack(*triple(lambda i, j, k: v.diagonal[i] * x[i] + v.others[k] * x[j] + v.others[j] * x[k]))
+
+
+def _clock_variation(motion: Motion, v: Variation, integrals: Integrals) -> ClockVariation:
+    """From the variations of e_c − e_b and e_a − e_b; δam = −½ Δ δm ∫ sin²/Δ³ dφ at fixed u."""
+    g, l, dl, dg, h, axes, clock = motion.g, motion.momentum, v.momentum, v.dg, v.h, motion.axes, motion.clock
+    pairs = triple(lambda k, i, j: v.others[k] * l[i] * l[j])
+    mixed = 2.0 * (pairs[0] + pairs[1] + pairs[2])
+    dh = triple(
+        lambda k, i, j: 2.0 * (g[i] * l[j] * dl[j] - g[j] * l[i] * dl[i]) + dg[i] * l[j] ** 2 - dg[j] * l[i] ** 2 - mixed
+    )
+    change = triple(lambda k, i, j: -axes.parity * (dg[k] * h[k] + g[k] * dh[k]))
+    span, spread = pick(axes.a, change), -pick(axes.c, change)
+    # −(1 − m)² δ(m/(1 − m))-like: e_c − e_a and its variation are small near the separatrix, and would be lost in the
+    # difference of the two others.
+    narrow = clock.complement * span + pick(axes.b, change)
     s, c, d, time = clock.sine, clock.cn, clock.dn, clock.remainder
     along = 0.5 * (time * span - clock.span * narrow * integrals.over_a)  # λ δam / Δ
-    # Below an eighth of a turn by the integral ∫ (S/C_c)² ds, beyond, where that one diverges, by the change of scale.
+    # Below an eighth of a turn by the integral ∫ (S/C_c)² ds; beyond, where that one diverges, by the change of scale.
     early = c * c > 0.5
     over_c = (s * s * time - integrals.plain - d * d * integrals.over_a) / jnp.where(early, c * c, 1.0)
-    ds = jnp.where(
-        early,
-        -0.5 * c * d * (over_c * span + integrals.over_a * spread),
-        divided(c * d * along - 0.5 * s * span, jnp.where(early, 1.0, clock.span)),
-    )
+    scaled = divided(c * d * along - 0.5 * s * span, jnp.where(early, 1.0, clock.span))
+    ds = jnp.where(early, -0.5 * c * d * (over_c * span + integrals.over_a * spread), scaled)
     dc = -s * d * along
     dd = -0.5 * s * s * narrow / d - clock.m * s * c * along
-    cosines = [jnp.where(axes.b == i, 0.0, jnp.where(axes.c == i, dc, dd)) for i in range(3)]
     period = integrals.quarter * narrow - clock.chain.quarter * span
     return ClockVariation(
-        ds, (cosines[0], cosines[1], cosines[2]), divided(period, clock.rate * clock.span)
+        ds,
+        triple(lambda i, j, k: jnp.where(axes.b == i, 0.0, jnp.where(axes.c == i, dc, dd))),
+        divided(period, clock.rate * clock.span),
     )
 
 
-def momentum_variation(
-    axes: Axes, clock: Clock, body: Body, v: Variation, dclock: ClockVariation, base: Triple, denominator: Scalar
-) -> Triple:
-    """δL of the addition theorem at fixed time left, before the flip; `base` is its value."""
-    momentum, g, inverse, w, dm = body.momentum, body.g, body.inverse, body.omega, v.momentum
-    s, c, ds, dc = clock.sine, clock.cosines, dclock.sine, dclock.cosines
-    dw = triple(
-        lambda i, j, k: inverse[i] * dm[i]
-        + v.diagonal[i] * momentum[i]
-        + v.others[k] * momentum[j]
-        + v.others[j] * momentum[k]
-    )
-    rate = triple(lambda i, j, k: g[i] * momentum[j] * momentum[k])  # L × JL
-    drate = triple(
-        lambda i, j, k: (dm[j] * w[k] - dm[k] * w[j]) + (momentum[j] * dw[k] - momentum[k] * dw[j])
-    )
-    # Off-diagonal entries of the matrices C and cof C, by third axis.
-    mixed_c = triple(lambda k, i, j: divided(s * s * body.h[k] * v.others[k], c[i] + c[j]))
+def _momentum_variation(motion: Motion, v: Variation, varied: ClockVariation) -> Triple:
+    """δL of the addition theorem at fixed time left, before the flip."""
+    g, w, l, dl, clock = motion.g, motion.omega, motion.momentum, v.momentum, motion.clock
+    s, c, ds, dc = clock.sine, clock.cosines, varied.sine, varied.cosines
+    tilted = components(_varied_j(v, l))
+    dw = triple(lambda i, j, k: v.inverse[i] * dl[i] + tilted[i])
+    rate = triple(lambda i, j, k: g[i] * l[j] * l[k])  # L × JL
+    drate = triple(lambda i, j, k: (dl[j] * w[k] - dl[k] * w[j]) + (l[j] * dw[k] - l[k] * dw[j]))
+    # Off-diagonal entries of the matrices C and cof C.
+    mixed_c = triple(lambda k, i, j: divided(s * s * v.h[k] * v.others[k], c[i] + c[j]))
     mixed_x = triple(lambda k, i, j: -c[k] * mixed_c[k])
     numerator = triple(
-        lambda i, j, k: c[j] * c[k] * dm[i]
-        + (c[j] * dc[k] + c[k] * dc[j]) * momentum[i]
-        + mixed_x[k] * momentum[j]
-        + mixed_x[j] * momentum[k]
-        + s * (dc[i] * rate[i] + mixed_c[k] * rate[j] + mixed_c[j] * rate[k] + c[i] * drate[i])
-        + ds * c[i] * rate[i]
+        lambda i, j, k: (
+            c[j] * c[k] * dl[i]
+            + (c[j] * dc[k] + c[k] * dc[j]) * l[i]
+            + (mixed_x[k] * l[j] + mixed_x[j] * l[k])
+            + s * (dc[i] * rate[i] + mixed_c[k] * rate[j] + mixed_c[j] * rate[k] + c[i] * drate[i])
+            + ds * c[i] * rate[i]
+        )
     )
-    dg = triple(lambda i, j, k: v.diagonal[k] - v.diagonal[j])
-    square = triple(lambda i, j, k: g[j] * g[k] * momentum[i] ** 2)
+    # D = C_a² − y_a² S² with y_a² = g_b g_c L_a².
+    square = triple(lambda i, j, k: g[j] * g[k] * l[i] ** 2)
     dsquare = triple(
-        lambda i, j, k: (dg[j] * g[k] + g[j] * dg[k]) * momentum[i] ** 2
-        + 2.0 * momentum[i] * (g[j] * g[k] * dm[i] + g[k] * momentum[k] * v.others[j] - g[j] * momentum[j] * v.others[k])
+        lambda i, j, k: (
+            (v.dg[j] * g[k] + g[j] * v.dg[k]) * l[i] ** 2
+            + 2.0 * l[i] * (g[j] * g[k] * dl[i] + g[k] * l[k] * v.others[j] - g[j] * l[j] * v.others[k])
+        )
     )
-    a = axes.a
-    dd = pick(a, dc)
-    change = 2.0 * (clock.dn * dd - pick(a, square) * s * ds) - pick(a, dsquare) * s * s
-    inverse_denominator = 1.0 / denominator
-    return triple(lambda i, j, k: (numerator[i] - base[i] * change) * inverse_denominator)
+    a = motion.axes.a
+    change = 2.0 * (clock.dn * pick(a, dc) - pick(a, square) * s * ds) - pick(a, dsquare) * s * s
+    inverse = 1.0 / motion.denominator
+    return triple(lambda i, j, k: (numerator[i] - motion.base[i] * change) * inverse)
 
 
-def flipped(
-    axes: Axes, clock: Clock, body: Body, v: Variation, dclock: ClockVariation, base: Triple, dbase: Triple, rate: Triple
-) -> Triple:
+def _flipped(motion: Motion, v: Variation, varied: ClockVariation, dbase: Triple, rate: list[Scalar]) -> Triple:
     """δL after the half periods: the sign flip, the tilt of its axis, and the change of the time left."""
-    late = -clock.halves * jnp.where(clock.halves == 0, 0.0, dclock.half_period)
-    odd = clock.flip
-    # The flip is 2cᵀc − 1; δc along axis x is δJ_xc/(J_c − J_x).
-    tilt = triple(
-        lambda k, i, j: jnp.where(
-            odd[i] != odd[j],
-            2.0 * v.others[k] * divided(jnp.ones_like(late), jnp.where(axes.c == j, 1.0, -1.0) * body.g[k]),
-            0.0,
-        )
-    )
+    clock, base = motion.clock, motion.base
+    late = -clock.halves * jnp.where(clock.halves == 0, 0.0, varied.half_period)
+
+    def tilt(k: int, i: int, j: int) -> Scalar:
+        # The flip is 2 c cᵀ − 1, and δc along another axis x is δJ_xc/(J_c − J_x).
+        gap = jnp.where(motion.axes.c == j, 1.0, -1.0) * motion.g[k]
+        return jnp.where(clock.flip[i] != clock.flip[j], 2.0 * divided(v.others[k], gap), 0.0)
+
+    tilts = triple(tilt)
     return triple(
-        lambda i, j, k: odd[i] * dbase[i] + tilt[k] * base[j] + tilt[j] * base[k] + rate[i] * late
+        lambda i, j, k: clock.flip[i] * dbase[i] + tilts[k] * base[j] + tilts[j] * base[k] + rate[i] * late
     )
 
 
-def action(
-    axes: Axes, clock: Clock, body: Body, v: Variation, integrals: Integrals, base: Triple, denominator: Scalar, time: Scalar
-) -> Scalar:
-    """½ ∫ L·δJ L ds over the whole time: all six ∫ L_i L_j ds."""
-    momentum, g, h, c, s, flip = body.momentum, body.g, body.h, clock.cosines, clock.sine, clock.flip
-    b = axes.b
-    scale = jnp.abs(pick(axes.a, h) * pick(axes.c, h))
-    whole = divided(2.0 * (clock.chain.quarter - clock.complement * integrals.quarter), clock.span * clock.rate)
-    middle = scale * (integrals.plain + clock.halves * jnp.where(clock.halves == 0, 0.0, whole))
-    middle = middle + s * pick(b, momentum) * pick(b, base)
-    excess = middle - pick(b, momentum) ** 2 * time
-    squares = triple(lambda i, j, k: momentum[i] ** 2 * time + divided(g[i], pick(b, g)) * excess)
-    mixed = triple(
-        lambda k, i, j: (
-            momentum[i] * momentum[j] * s * c[k]
-            + momentum[k]
-            * s
-            * s
-            * divided(c[i] * g[i] * momentum[j] ** 2 + c[j] * g[j] * momentum[i] ** 2, c[i] + c[j])
-        )
-        / denominator
-    )
-    total = triple(
-        lambda k, i, j: flip[k] * mixed[k] + (flip[k] - 1.0) * divided(momentum[k], g[k])
-    )
-    return sum((0.5 * v.diagonal[i] * squares[i] + v.others[i] * total[i] for i in range(3)), jnp.zeros_like(time))
+def _action(motion: Motion, v: Variation, integrals: Integrals) -> Scalar:
+    """½ ∫ L·δJ L ds over the whole time, from the six ∫ L_i L_j ds."""
+    l, g, clock, axes = motion.momentum, motion.g, motion.clock, motion.axes
+    c, s, b = clock.cosines, clock.sine, axes.b
+    # ∫ L_b² ds by the addition theorem of the integral of the second kind; the two other squares by the invariants.
+    half = divided(2.0 * (clock.chain.quarter - clock.complement * integrals.quarter), clock.span * clock.rate)
+    passed = integrals.plain + clock.halves * jnp.where(clock.halves == 0, 0.0, half)
+    middle = jnp.abs(pick(axes.a, v.h) * pick(axes.c, v.h)) * passed + s * pick(b, l) * pick(b, motion.base)
+    excess = divided(middle - pick(b, l) ** 2 * motion.time, pick(b, g))
+    squares = triple(lambda i, j, k: l[i] ** 2 * motion.time + g[i] * excess)
+
+    def mixed(k: int, i: int, j: int) -> Scalar:
+        # (L_k(t) − L_k)/g_k, divided out.
+        ratio = divided(c[i] * g[i] * l[j] ** 2 + c[j] * g[j] * l[i] ** 2, c[i] + c[j])
+        left = (l[i] * l[j] * s * c[k] + l[k] * s * s * ratio) / motion.denominator
+        return clock.flip[k] * left + (clock.flip[k] - 1.0) * divided(l[k], g[k])
+
+    terms = triple(lambda k, i, j: 0.5 * v.diagonal[k] * squares[k] + v.others[k] * mixed(k, i, j))
+    return terms[0] + terms[1] + terms[2]
+
+
+def _turn(
+    motion: Motion, v: Variation, turned: Quaternion, dmomentum: Vector, domega: Vector, along: Scalar
+) -> Vector:
+    """δθ (3,) at fixed time, from the two conservation laws.
+
+    Over a short time these give it as a difference, and at rest as 0/0. There it is ∫ Pδω ds by the trapezium with
+    corrected ends, whose error is (ωt)⁴/720 of it.
+    """
+    size = motion.time * motion.time * dot(stack(*motion.omega), stack(*motion.omega))
+    short = size < jnp.finfo(size.dtype).eps ** 0.4
+    start, then = stack(*motion.momentum), stack(*motion.momentum_then)
+    inverse = 1.0 / jnp.where(short, 1.0, dot(then, then))
+    across = cross(then, turned.unrotate(stack(*v.momentum)) - dmomentum)
+    long = stack(*(inverse * (along * x + y) for x, y in zip(components(then), components(across), strict=True)))
+
+    def slope(momentum: Vector, omega: Vector, dmomentum: Vector, domega: Vector) -> Vector:
+        """d(Pδω)/dt seen from the body: ω × δω + δω̇."""
+        torque = cross(dmomentum, omega) + cross(momentum, domega)
+        tilted = _varied_j(v, _triple(cross(momentum, omega)))
+        return cross(omega, domega) + stack(*v.inverse) * torque + tilted
+
+    first = slope(start, stack(*motion.omega), stack(*v.momentum), stack(*v.omega))
+    last = slope(then, stack(*motion.omega_then), dmomentum, domega)
+    t = motion.time
+    brief = 0.5 * t * (turned.unrotate(stack(*v.omega)) + domega) + t * t / 12.0 * (turned.unrotate(first) - last)
+    return jnp.where(short, brief, long)
+
+
+def _triple(array: Vector) -> Triple:
+    x, y, z = components(array)
+    return x, y, z

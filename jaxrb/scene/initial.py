@@ -100,8 +100,10 @@ def _vector(name: str, unit: str, value: Any, count: int, dtype: Any) -> jax.Arr
     if value.shape not in ((3,), (count, 3)):
         raise WrongStructure(f"{where}: shape {value.shape}; give {(count, 3)}, or (3,) for all bodies")
     check_quantity(where, value, core=(3,), unit=unit)
-    cast = _cast(where, unit, value, dtype)
-    return cast if cast.ndim == 2 else jnp.asarray(np.broadcast_to(cast, (count, 3)))
+    if value.ndim == 1:
+        # On the host where that is possible: a device call here would compile a program for it.
+        value = (np if isinstance(value, np.ndarray) else jnp).broadcast_to(value, (count, 3))
+    return _cast(where, unit, value, dtype)
 
 
 def _orientation(value: Any, count: int, rotation: type[Rotation], dtype: Any) -> Rotation:
@@ -119,7 +121,10 @@ def _orientation(value: Any, count: int, rotation: type[Rotation], dtype: Any) -
     (leaf,) = jax.tree.leaves(attitude)
     if leaf.ndim not in (core, core + 1) or (leaf.ndim == core + 1 and leaf.shape[0] != count):
         raise WrongStructure(f"state.orientation: shape {leaf.shape} for {count} bodies; give one for each, or one for all")
-    return jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *leaf.shape[-core:])), attitude)
+    if leaf.ndim == core + 1:
+        return attitude
+    xp = np if is_concrete(leaf) else jnp
+    return jax.tree.map(lambda x: jnp.asarray(xp.broadcast_to(x, (count, *leaf.shape[-core:]))), attitude)
 
 
 def _from_numbers(value: Any) -> Rotation:

@@ -108,7 +108,7 @@ def test_rotated_inertia_is_that_of_the_rotated_particles(particles, dtype, tole
     found = of_particles(masses, positions).inertia.rotated(r)
     assert largest(found.as_matrix() - turned.inertia.as_matrix()) < tolerance(float64=1e-13, float32=5e-5)
     moved = of_particles(masses, positions).moved(np.asarray([1, 2, 3], dtype), r)
-    assert largest(moved.center_of_mass - turned.center_of_mass - [1, 2, 3]) < tolerance(float64=1e-14, float32=5e-6)
+    assert largest(moved.center_of_mass - turned.center_of_mass - np.asarray([1, 2, 3])) < tolerance(float64=1e-14, float32=5e-6)
 
 
 def test_principal_axes_diagonalise_and_form_a_rotation(particles, dtype, tolerance):
