@@ -11,13 +11,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
+from jax.core import Tracer
 
 from jaxrb.errors import InvalidInput, JaxrbWarning, WrongStructure
 
 
 def is_concrete(value: Any) -> bool:
     """Whether the numbers are there to be looked at, not being traced."""
-    return not isinstance(value, jax.core.Tracer)
+    return not isinstance(value, Tracer)
 
 
 def as_array(where: str, value: Any) -> Any:
@@ -99,10 +100,15 @@ def check_quantity(
         (~np.isfinite(array), "must be finite"),
         ((array <= 0) if positive else np.zeros_like(array, bool), "must be positive"),
         ((array < 0) if nonnegative else np.zeros_like(array, bool), "must not be negative"),
-        ((array > at_most) if at_most is not None else np.zeros_like(array, bool), f"must be at most {at_most}"),
+        (
+            (array > at_most) if at_most is not None else np.zeros_like(array, bool),
+            f"must be at most {at_most}",
+        ),
     ):
         if bad.any():
-            raise InvalidInput(f"{where}{at(bad, rank)} is {array[bad].ravel()[0]!r} {unit}, but {problem}{hint}")
+            raise InvalidInput(
+                f"{where}{at(bad, rank)} is {array[bad].ravel()[0]!r} {unit}, but {problem}{hint}"
+            )
 
 
 def at(bad: np.ndarray, rank: int = 0) -> str:

@@ -103,7 +103,9 @@ def _fit() -> Any:
     return fit_inertia(read_recording(TUMBLING_BRICK))
 
 
-def _pictures(output: pathlib.Path, runs: Sequence[DriftRun], points: Sequence[Point], fitted: Any) -> list[Any]:
+def _pictures(
+    output: pathlib.Path, runs: Sequence[DriftRun], points: Sequence[Point], fitted: Any
+) -> list[Any]:
     torqued = [run for run in runs if run.with_torque and run.method == "ExplicitEuler"]
     half = free_boxes().half_extents
     drawn = [run for run in torqued if run.representation == "rotation matrix"] + [
@@ -118,7 +120,7 @@ def _pictures(output: pathlib.Path, runs: Sequence[DriftRun], points: Sequence[P
 
 def report(found: dict[str, Any], output: pathlib.Path) -> str:
     """The demonstration in words and tables."""
-    kind = "float64" if jax.config.jax_enable_x64 else "float32"
+    kind = "float64" if jax.config.read("jax_enable_x64") else "float32"
     parts = [
         f"A set of nine free boxes, dt = {DT} s, {kind}; the worst box of each run.",
         table(found["drift"], DRIFT_HEADINGS),

@@ -24,7 +24,20 @@ def rotation_vectors(dtype, seed: int = 0) -> np.ndarray:
     """Rotation vectors (k, 3): zero, tiny, about the switches of the series, generic, at and about half a turn."""
     axes = np.concatenate([np.eye(3), -np.eye(3), [[1, 1, 0], [0, 1, -1], [1, 1, 1]], unit_vectors(3, seed)])
     axes = axes / np.linalg.norm(axes, axis=-1, keepdims=True)
-    angles = [1e-12, 1e-9, 1e-4, 0.2, 0.5, 1.0, np.pi / 2, 2 * np.pi / 3, np.pi - 1e-9, np.pi, np.pi - 1e-4, 3.0]
+    angles = [
+        1e-12,
+        1e-9,
+        1e-4,
+        0.2,
+        0.5,
+        1.0,
+        np.pi / 2,
+        2 * np.pi / 3,
+        np.pi - 1e-9,
+        np.pi,
+        np.pi - 1e-4,
+        3.0,
+    ]
     special = (np.asarray(angles)[:, None, None] * axes).reshape(-1, 3)
     generic = unit_vectors(60, seed + 1) * np.random.default_rng(seed).uniform(0, np.pi, (60, 1))
     return np.concatenate([np.zeros((1, 3)), special, generic]).astype(np.dtype(dtype))

@@ -11,7 +11,19 @@ from jax.interpreters import partial_eval
 
 import jaxrb as rb
 
-ARITHMETIC = {"add", "sub", "mul", "div", "neg", "sqrt", "rsqrt", "integer_pow", "square", "add_any", "dot_general"}
+ARITHMETIC = {
+    "add",
+    "sub",
+    "mul",
+    "div",
+    "neg",
+    "sqrt",
+    "rsqrt",
+    "integer_pow",
+    "square",
+    "add_any",
+    "dot_general",
+}
 BRICK = rb.Body(mass=2.0, inertia=(1.0, 2.0, 2.5))
 BALL = rb.Body(mass=2.0, inertia=1.5)
 

@@ -17,7 +17,7 @@ from jaxrb.scene.path import Path
 from jaxrb.scene.rollout import rollout
 from jaxrb.scene.scene import Scene
 
-# The reference takes so many steps of RK4 for one of the methods under test: at dt = 0.01 s its error is below 1e-9 rad.
+# The reference takes so many steps of RK4 for one of the methods under test; its error is 4000 times below theirs.
 REFINEMENT = 8
 
 

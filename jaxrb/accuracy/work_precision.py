@@ -35,14 +35,20 @@ class Point:
 
 @jax.jit
 def end_state(scene: Scene, state: State, method: Method, duration: Scalar, count: Any) -> State:
-    """The state after `count` steps over `duration` [s]; the count is a number of the run, so one program serves all."""
+    """The state after `count` steps over `duration` [s]. The count is a number of the run: one program serves all."""
     dynamics = scene.prepared(state.dtype)
     dt = duration / count
     return jax.lax.fori_loop(0, count, lambda _, s: method.step(dynamics, s, dt), state)
 
 
 def measure(
-    scene: Scene, state: State, exact: State, method: Method, duration: float, counts: Sequence[int], repeats: int = 3
+    scene: Scene,
+    state: State,
+    exact: State,
+    method: Method,
+    duration: float,
+    counts: Sequence[int],
+    repeats: int = 3,
 ) -> list[Point]:
     """Error and CPU time of a method for each number of steps; median of `repeats` runs, compilation apart."""
 

@@ -41,7 +41,8 @@ def free_bodies(inertia: Any, rotation: type[Rotation], renormalise: bool, dtype
     random = np.random.default_rng(0)
     scene = Scene(replicate(Body(1.0, inertia), BODIES))
     state = scene.state(
-        *(random.normal(size=(BODIES, 3)).astype(dtype) if k != 1 else None for k in range(4)), rotation=rotation
+        *(random.normal(size=(BODIES, 3)).astype(dtype) if k != 1 else None for k in range(4)),
+        rotation=rotation,
     )
     method = RungeKutta4(renormalise=renormalise)
     run = lambda: rollout(scene, state, dt=1e-3, steps=STEPS, save_every=STEPS, method=method).final  # noqa: E731
@@ -71,7 +72,8 @@ def gradient(bodies: int = 64, steps: int = 10_000) -> dict[str, float]:
     state = scene.state(angular_velocity=random.normal(size=(bodies, 3)))
 
     def loss(scene: Scene) -> Any:
-        return jnp.sum(rollout(scene, state, dt=1e-3, steps=steps, save_every=steps).final.orientation.wxyz)
+        final = rollout(scene, state, dt=1e-3, steps=steps, save_every=steps).final
+        return jnp.sum(final.orientation.as_quaternion_array())
 
     forward, backward = jax.jit(loss), jax.jit(jax.grad(loss))
     forward_seconds, _ = cpu_median(lambda: forward(scene), 3)
@@ -100,7 +102,9 @@ print(imported - before, time.process_time())
 def start_up(repeats: int = 5) -> dict[str, float]:
     """CPU seconds of `import jaxrb` beyond `import jax`, and from Python's start to the end of a first rollout."""
     lines = [
-        subprocess.run([sys.executable, "-c", _START], check=True, capture_output=True, text=True).stdout.split()
+        subprocess.run(
+            [sys.executable, "-c", _START], check=True, capture_output=True, text=True
+        ).stdout.split()
         for _ in range(repeats)
     ]
     imports, totals = np.array(lines, float).T
@@ -134,7 +138,9 @@ def rows() -> Iterator[dict[str, Any]]:
     yield _row("its memory", found["gradient_memory_mb"], "MB", None)
 
 
-def _row(what: str, figure: float, unit: str, goal: float | None, compile_seconds: float | None = None) -> dict:
+def _row(
+    what: str, figure: float, unit: str, goal: float | None, compile_seconds: float | None = None
+) -> dict:
     return {
         "what": what,
         "figure": figure,

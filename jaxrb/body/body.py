@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrb.body.inertia import Inertia
 from jaxrb.body.mass_properties import MassProperties, of_particles
 from jaxrb.body.validity import check_range, valid_inertia
 from jaxrb.checks import Checked, is_concrete, quantity
@@ -29,7 +28,7 @@ class Body(Checked):
     mass: Scalar = quantity(
         (), positive=True, unit="kg", mend="fix what never moves to the world instead of making it a body"
     )
-    inertia: Inertia
+    inertia: Any  # pyright: ignore[reportGeneralTypeIssues] - whatever Inertia.of takes; afterwards an Inertia
     shape: Any = None
     center_of_mass: Vector = quantity((3,), unit="m", default=(0.0, 0.0, 0.0))
     name: str = eqx.field(static=True, default="body")
@@ -41,7 +40,9 @@ class Body(Checked):
         self.inertia = valid_inertia(self.inertia, where="Body.inertia")
 
     @classmethod
-    def from_mass_properties(cls, properties: MassProperties, shape: Any = None, name: str = "body") -> "Body":
+    def from_mass_properties(
+        cls, properties: MassProperties, shape: Any = None, name: str = "body"
+    ) -> "Body":
         """The body with this mass and inertia; its frame sits at the centre of mass."""
         host = jax.tree.map(lambda x: np.asarray(x) if is_concrete(x) else x, properties)
         return cls(host.mass, host.inertia, shape, host.center_of_mass, name)
@@ -54,7 +55,9 @@ class Body(Checked):
             InvalidInput: a density that is not positive and finite.
         """
         if is_concrete(density) and not (np.isfinite(density) and density > 0):
-            raise InvalidInput(f"Body.from_shape: density is {density!r} kg/m³, but must be positive and finite")
+            raise InvalidInput(
+                f"Body.from_shape: density is {density!r} kg/m³, but must be positive and finite"
+            )
         return cls.from_mass_properties(shape.mass_properties(density), shape, name)
 
     @classmethod

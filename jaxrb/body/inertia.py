@@ -4,7 +4,7 @@ Its kind is a type: a spherical inertia has no gyroscopic term because its class
 contains one. `Inertia.of` chooses the kind by the shape of the numbers, never by their values.
 """
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ class Inertia(Checked):
     rank: eqx.AbstractClassVar[int]  # spherical 0 < principal 1 < full 2: the order in which kinds generalise
 
     @staticmethod
-    def of(value: "Inertia | Array | float") -> "Inertia":
+    def of(value: Any) -> "Inertia":
         """A number: spherical. Three numbers: principal moments. A 3×3 matrix: full. Shapes (), (3,), (3, 3)."""
         if isinstance(value, Inertia):
             return value
@@ -111,7 +111,9 @@ class PrincipalInertia(Inertia):
     moments: Vector = quantity((3,), unit="kg m²")
 
     def apply(self, angular_velocity: Vector) -> Vector:
-        return stack(*(i * w for i, w in zip(components(self.moments), components(angular_velocity), strict=True)))
+        return stack(
+            *(i * w for i, w in zip(components(self.moments), components(angular_velocity), strict=True))
+        )
 
     def as_matrix(self) -> Matrix:
         moments = jnp.asarray(self.moments)
@@ -192,7 +194,8 @@ def solver(inertia: Inertia) -> "InertiaSolver":
         i1, i2, i3 = components(inertia.moments)
         inverse = stack(1.0 / i1, 1.0 / i2, 1.0 / i3)
         return PrincipalSolver(inertia, inverse, stack((i2 - i3) / i1, (i3 - i1) / i2, (i1 - i2) / i3))
-    xx, yy, zz, xy, xz, yz = components(inertia.six())
+    inertia = FullInertia(inertia.six())
+    xx, yy, zz, xy, xz, yz = components(inertia.components)
     cofactor = [yy * zz - yz * yz, xx * zz - xz * xz, xx * yy - xy * xy]
     off = [xz * yz - xy * zz, xy * yz - xz * yy, xy * xz - xx * yz]
     reciprocal = 1.0 / (xx * cofactor[0] + xy * off[0] + xz * off[1])
@@ -221,7 +224,9 @@ class InertiaSolver(eqx.Module):
         return omega
 
 
-def _solve_linearised(inertia: Inertia, omega: Vector, momentum: Vector, residual: Vector, span: Scalar) -> Vector:
+def _solve_linearised(
+    inertia: Inertia, omega: Vector, momentum: Vector, residual: Vector, span: Scalar
+) -> Vector:
     """(I + span (ω* I − (Iω)*))⁻¹ residual by Cramer's rule."""
     xx, yy, zz, xy, xz, yz = components(inertia.six())
     columns = (stack(xx, xy, xz), stack(xy, yy, yz), stack(xz, yz, zz))
@@ -279,7 +284,11 @@ class PrincipalSolver(InertiaSolver):
             w1, w2, w3 = components(omega)
             residual = stack(w1 - b1 - k1 * w2 * w3, w2 - b2 - k2 * w3 * w1, w3 - b3 - k3 * w1 * w2)
             one = jnp.ones_like(w1)
-            columns = (stack(one, -k2 * w3, -k3 * w2), stack(-k1 * w3, one, -k3 * w1), stack(-k1 * w2, -k2 * w1, one))
+            columns = (
+                stack(one, -k2 * w3, -k3 * w2),
+                stack(-k1 * w3, one, -k3 * w1),
+                stack(-k1 * w2, -k2 * w1, one),
+            )
             omega = omega - solve(columns, residual)
         return omega
 
@@ -293,5 +302,3 @@ class FullSolver(InertiaSolver):
     def acceleration(self, angular_velocity: Vector, torque: Vector | None) -> Vector:
         net = cross(self.inertia.apply(angular_velocity), angular_velocity)
         return symmetric_apply(self.inverse, net if torque is None else net + torque)
-
-

@@ -37,7 +37,9 @@ def of_particles(masses: Array, positions: Array) -> MassProperties:
     """Of point masses (k,) [kg] at positions (k, 3) [m], seen as one rigid body: R = Σmr/M, I = Σ m (d²1 − d dᵀ)."""
     masses, positions = jnp.asarray(masses), jnp.asarray(positions)
     if positions.shape != (*masses.shape, 3) or masses.ndim != 1:
-        raise WrongStructure(f"particles: masses {masses.shape} and positions {positions.shape}; give (k,) and (k, 3)")
+        raise WrongStructure(
+            f"particles: masses {masses.shape} and positions {positions.shape}; give (k,) and (k, 3)"
+        )
     total = jnp.sum(masses)
     center = masses @ positions / total
     # About the centre, not about the origin and back: far from the origin that difference loses every digit.
@@ -99,9 +101,7 @@ def of_parts(parts: Sequence[MassProperties]) -> MassProperties:
         raise WrongStructure("composite: no parts were given; a body needs at least one")
     mass = sum(part.mass for part in parts)
     center = sum(part.mass * part.center_of_mass for part in parts) / mass
-    six = sum(
-        part.inertia.six() + part.mass * parallel_axis(part.center_of_mass - center) for part in parts
-    )
+    six = sum(part.inertia.six() + part.mass * parallel_axis(part.center_of_mass - center) for part in parts)
     return MassProperties(mass, center, FullInertia(six))
 
 

@@ -1,6 +1,6 @@
 """Whether an inertia belongs to any distribution of mass, and what to do when it does not."""
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,9 +18,7 @@ _RANGE_DOUBTFUL = 1e15
 OnInvalid = Literal["raise", "warn", "project"]
 
 
-def valid_inertia(
-    value: Inertia | np.ndarray, *, on_invalid: OnInvalid = "raise", where: str = "inertia"
-) -> Inertia:
+def valid_inertia(value: Any, *, on_invalid: OnInvalid = "raise", where: str = "inertia") -> Inertia:
     """The inertia if some distribution of mass has it: symmetric, positive, no moment above the sum of the others.
 
     A violation up to 1e-6 of the trace is projected, with a warning. A larger one is refused ("raise"), let through
@@ -98,7 +96,10 @@ def _worst_violation(where: str, matrices: np.ndarray, dtype, on_invalid: OnInva
         if on_invalid == "raise" and (strict or relative[body] < -TOLERANCE):
             mend = "check the units and the axes, or use valid_inertia(..., on_invalid='project')"
             raise InvalidInput(f"{message}; {mend}")
-        warn(f"{message}; " + ("it is used as it is" if on_invalid == "warn" else "the nearest possible is used"))
+        warn(
+            f"{message}; "
+            + ("it is used as it is" if on_invalid == "warn" else "the nearest possible is used")
+        )
         return on_invalid != "warn"
     return False
 
@@ -131,7 +132,10 @@ def _projected(inertia: Inertia, matrices: np.ndarray) -> Inertia:
     second = np.maximum(0.5 * moments.sum(axis=-1, keepdims=True) - moments, 0.0)
     repaired = second.sum(axis=-1, keepdims=True) - second
     if not (repaired > 0).all():
-        raise InvalidInput(f"inertia with principal moments {moments.tolist()} kg m² has no possible one near it")
+        raise InvalidInput(
+            f"inertia with principal moments {moments.tolist()} kg m²: the nearest possible is that of a thin "
+            "rod, which has no moment about its axis; give the rod a thickness"
+        )
     if isinstance(inertia, PrincipalInertia):
         order = np.argsort(np.argsort(np.asarray(inertia.moments), axis=-1), axis=-1)
         return PrincipalInertia(np.take_along_axis(repaired, order, axis=-1))

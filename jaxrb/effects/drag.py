@@ -48,7 +48,9 @@ class QuadraticDrag(Force):
 
     def wrench(self, body: MassProperties, state: State) -> Wrench:
         # norm has zero gradient at rest, where |v| v has a zero derivative too.
-        return Wrench((-0.5 * self.density * self.coefficient * self.area) * norm(state.velocity) * state.velocity)
+        return Wrench(
+            (-0.5 * self.density * self.coefficient * self.area) * norm(state.velocity) * state.velocity
+        )
 
     def rate(self, bodies: MassProperties, state: State) -> np.ndarray | float:
         speed = np.linalg.norm(np.asarray(state.velocity), axis=-1).max()

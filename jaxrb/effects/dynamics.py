@@ -73,5 +73,3 @@ def prepare(bodies: MassProperties, effects: tuple[Effect, ...], dtype: Any) -> 
         rotating = point.inertia_about_point(MassProperties(bodies.mass, bodies.center_of_mass, rotating))
     active = tuple(effect for effect in effects if not isinstance(effect, FixedPoint))
     return Dynamics(bodies, 1.0 / bodies.mass, solver(rotating), active, fixed)
-
-

@@ -57,7 +57,7 @@ class Effect(Checked):
         return None
 
     def rate(self, bodies: MassProperties, state: State) -> np.ndarray | float:
-        """Estimate on the host of the fastest rate [1/s] that this effect gives a body: ω of an oscillation, 1/τ of a decay.
+        """Estimate on the host of the fastest rate [1/s] that this effect gives a body: an oscillation's ω, a decay's 1/τ.
 
         A step dt with dt · rate above the method's limit is unstable; the run warns.
         """
@@ -87,7 +87,11 @@ class Force(Effect):
         acted = count if self.bodies is None else len(self.bodies)
         for field in quantities(type(self)):
             value, core = getattr(self, field.name), field.metadata["quantity"]["core"]
-            if value is not None and np.ndim(value) > len(core) and np.shape(value)[: -len(core) or None] != (acted,):
+            if (
+                value is not None
+                and np.ndim(value) > len(core)
+                and np.shape(value)[: -len(core) or None] != (acted,)
+            ):
                 raise WrongStructure(
                     f"{type(self).__name__}.{field.name}: shape {np.shape(value)}; give {core} for all bodies, or "
                     f"{(acted, *core)} for one value a body"
@@ -141,4 +145,6 @@ def check_indices(owner: str, field: str, indices: tuple[int, ...], count: int) 
         raise WrongStructure(f"{owner}.{field}: {indices!r}; give a tuple of body numbers, or None for all")
     for i in indices:
         if not 0 <= i < count:
-            raise WrongStructure(f"{owner}.{field}: there is no body {i} in a scene of {count}; numbers start at 0")
+            raise WrongStructure(
+                f"{owner}.{field}: there is no body {i} in a scene of {count}; numbers start at 0"
+            )

@@ -32,7 +32,9 @@ class FixedPoint(Force):
     def inertia_about_point(self, bodies: MassProperties) -> FullInertia:
         """The inertia with which the bodies rotate: about the held point, or about the centre of mass."""
         six = jnp.asarray(bodies.inertia.six())
-        added = jnp.asarray(bodies.mass)[:, None] * parallel_axis(self._spread(self.point, six.shape[0], six.dtype))
+        added = jnp.asarray(bodies.mass)[:, None] * parallel_axis(
+            self._spread(self.point, six.shape[0], six.dtype)
+        )
         return FullInertia(six + added)
 
     def about_point(self, wrench: Wrench, state: State) -> Wrench:
@@ -54,7 +56,10 @@ class FixedPoint(Force):
         velocity = -state.orientation.rotate(cross(state.angular_velocity, lever))
         held = self._held(count)
         if len(self.chosen(count)) < count:
-            position, velocity = jnp.where(held, position, state.position), jnp.where(held, velocity, state.velocity)
+            position, velocity = (
+                jnp.where(held, position, state.position),
+                jnp.where(held, velocity, state.velocity),
+            )
         return State(position, state.orientation, velocity, state.angular_velocity, state.time)
 
     def _held(self, count: int):
@@ -63,5 +68,6 @@ class FixedPoint(Force):
     def _spread(self, value: Vector, count: int, dtype) -> Vector:
         chosen = self.chosen(count)
         value = jnp.broadcast_to(jnp.asarray(value, dtype), (len(chosen), 3))
-        return value if len(chosen) == count else jnp.zeros((count, 3), dtype).at[jnp.asarray(chosen)].set(value)
-
+        return (
+            value if len(chosen) == count else jnp.zeros((count, 3), dtype).at[jnp.asarray(chosen)].set(value)
+        )

@@ -21,4 +21,3 @@ class UniformGravity(Force):
 
     def potential_energy(self, body: MassProperties, state: State) -> Scalar:
         return -body.mass * dot(self.acceleration, state.position)
-

@@ -45,11 +45,15 @@ class SpringDamper(Effect):
             state_a = taken(state, a)
             state_b = taken(state, b) if b.size else None
             force = self._tension(state_a, state_b)
-            on_a = jax.vmap(Wrench.at_point, in_axes=(0, 0, PER_BODY))(force, self._points(self.point_a), state_a)
+            on_a = jax.vmap(Wrench.at_point, in_axes=(0, 0, PER_BODY))(
+                force, self._points(self.point_a), state_a
+            )
             total = scattered(on_a, a, state)
             if state_b is None:
                 return total
-            on_b = jax.vmap(Wrench.at_point, in_axes=(0, 0, PER_BODY))(-force, self._points(self.point_b), state_b)
+            on_b = jax.vmap(Wrench.at_point, in_axes=(0, 0, PER_BODY))(
+                -force, self._points(self.point_b), state_b
+            )
             return total + scattered(on_b, b, state)
 
     def potential_energy_of(self, bodies: MassProperties, state: State) -> Scalar:

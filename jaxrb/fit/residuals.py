@@ -122,7 +122,7 @@ def tumble(
             state,
             length=substeps,
         )
-        return state, (state.orientation.wxyz[0], state.angular_velocity[0])
+        return state, (state.orientation.as_quaternion_array()[0], state.angular_velocity[0])
 
     _, (wxyz, spin) = jax.lax.scan(sample, start, interval)
     return Quaternion(wxyz), spin

@@ -26,7 +26,9 @@ class ExplicitEuler(Method):
         new = moved(state, dt, rates(state, dynamics.acceleration(state, torque)), dt)
         if not self.finite_rotation:
             return new
-        return eqx.tree_at(lambda s: s.orientation, new, turned(state.orientation, dt * state.angular_velocity))
+        return eqx.tree_at(
+            lambda s: s.orientation, new, turned(state.orientation, dt * state.angular_velocity)
+        )
 
 
 def turned(orientation: Rotation, rotation_vector: Vector) -> Rotation:

@@ -50,7 +50,9 @@ def free_rotation(inertia: Inertia, angular_velocity: Vector, time: Scalar) -> t
 
 
 @jax.custom_jvp
-def principal_rotation(omega: Vector, moments: Vector, products: Vector, time: Scalar) -> tuple[jax.Array, Vector]:
+def principal_rotation(
+    omega: Vector, moments: Vector, products: Vector, time: Scalar
+) -> tuple[jax.Array, Vector]:
     """Rotation as wxyz (4,) and ω (3,) after `time`, in principal axes.
 
     `products` are the entries yz, xz, xy of the tensor (3,): zero in principal axes, and ignored; only their variations

@@ -91,7 +91,9 @@ def tangent_of(
     return change, domega + stack(*v.inverse) * rate * time
 
 
-def _variation(motion: Motion, omega: list[Scalar], moments: list[Scalar], products: list[Scalar]) -> Variation:
+def _variation(
+    motion: Motion, omega: list[Scalar], moments: list[Scalar], products: list[Scalar]
+) -> Variation:
     inverse, w, l = triple(lambda i, j, k: 1.0 / motion.moments[i]), motion.omega, motion.momentum
     turned = triple(lambda i, j, k: moments[i] * w[i] + products[k] * w[j] + products[j] * w[k])
     momentum = triple(lambda i, j, k: motion.moments[i] * omega[i] + turned[i])
@@ -121,7 +123,9 @@ def _clock_variation(motion: Motion, v: Variation, integrals: Integrals) -> Cloc
     pairs = triple(lambda k, i, j: v.others[k] * l[i] * l[j])
     mixed = 2.0 * (pairs[0] + pairs[1] + pairs[2])
     dh = triple(
-        lambda k, i, j: 2.0 * (g[i] * l[j] * dl[j] - g[j] * l[i] * dl[i]) + dg[i] * l[j] ** 2 - dg[j] * l[i] ** 2 - mixed
+        lambda k, i, j: (
+            2.0 * (g[i] * l[j] * dl[j] - g[j] * l[i] * dl[i]) + dg[i] * l[j] ** 2 - dg[j] * l[i] ** 2 - mixed
+        )
     )
     change = triple(lambda k, i, j: -axes.parity * (dg[k] * h[k] + g[k] * dh[k]))
     span, spread = pick(axes.a, change), -pick(axes.c, change)
@@ -179,7 +183,9 @@ def _momentum_variation(motion: Motion, v: Variation, varied: ClockVariation) ->
     return triple(lambda i, j, k: (numerator[i] - motion.base[i] * change) * inverse)
 
 
-def _flipped(motion: Motion, v: Variation, varied: ClockVariation, dbase: Triple, rate: list[Scalar]) -> Triple:
+def _flipped(
+    motion: Motion, v: Variation, varied: ClockVariation, dbase: Triple, rate: list[Scalar]
+) -> Triple:
     """δL after the half periods: the sign flip, the tilt of its axis, and the change of the time left."""
     clock, base = motion.clock, motion.base
     late = -clock.halves * jnp.where(clock.halves == 0, 0.0, varied.half_period)
@@ -200,7 +206,9 @@ def _action(motion: Motion, v: Variation, integrals: Integrals) -> Scalar:
     l, g, clock, axes = motion.momentum, motion.g, motion.clock, motion.axes
     c, s, b = clock.cosines, clock.sine, axes.b
     # ∫ L_b² ds by the addition theorem of the integral of the second kind; the two other squares by the invariants.
-    half = divided(2.0 * (clock.chain.quarter - clock.complement * integrals.quarter), clock.span * clock.rate)
+    half = divided(
+        2.0 * (clock.chain.quarter - clock.complement * integrals.quarter), clock.span * clock.rate
+    )
     passed = integrals.plain + clock.halves * jnp.where(clock.halves == 0, 0.0, half)
     middle = jnp.abs(pick(axes.a, v.h) * pick(axes.c, v.h)) * passed + s * pick(b, l) * pick(b, motion.base)
     excess = divided(middle - pick(b, l) ** 2 * motion.time, pick(b, g))
@@ -229,7 +237,9 @@ def _turn(
     start, then = stack(*motion.momentum), stack(*motion.momentum_then)
     inverse = 1.0 / jnp.where(short, 1.0, dot(then, then))
     across = cross(then, turned.unrotate(stack(*v.momentum)) - dmomentum)
-    long = stack(*(inverse * (along * x + y) for x, y in zip(components(then), components(across), strict=True)))
+    long = stack(
+        *(inverse * (along * x + y) for x, y in zip(components(then), components(across), strict=True))
+    )
 
     def slope(momentum: Vector, omega: Vector, dmomentum: Vector, domega: Vector) -> Vector:
         """d(Pδω)/dt seen from the body: ω × δω + δω̇."""
@@ -240,7 +250,9 @@ def _turn(
     first = slope(start, stack(*motion.omega), stack(*v.momentum), stack(*v.omega))
     last = slope(then, stack(*motion.omega_then), dmomentum, domega)
     t = motion.time
-    brief = 0.5 * t * (turned.unrotate(stack(*v.omega)) + domega) + t * t / 12.0 * (turned.unrotate(first) - last)
+    brief = 0.5 * t * (turned.unrotate(stack(*v.omega)) + domega) + t * t / 12.0 * (
+        turned.unrotate(first) - last
+    )
     return jnp.where(short, brief, long)
 
 

@@ -43,7 +43,9 @@ class ImplicitMidpoint(Method):
             velocity = advanced(state.velocity, half, dynamics.linear_acceleration(wrench))
             # The last rounds start from a converged ω: one Newton step each; a free body takes all of them at once.
             newton = 1 if sweeps > 1 else self.sweeps
-            omega = dynamics.inertia.implicit_velocity(state.angular_velocity, omega, wrench.torque, half, newton)
+            omega = dynamics.inertia.implicit_velocity(
+                state.angular_velocity, omega, wrench.torque, half, newton
+            )
         return State(
             advanced(state.position, dt, velocity),
             _carried(state.orientation, dt * omega),

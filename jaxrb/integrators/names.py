@@ -1,6 +1,7 @@
 """Methods by name, for the command line and for messages."""
 
 import difflib
+from collections.abc import Callable
 from typing import Any
 
 from jaxrb.errors import UnknownName, WrongStructure
@@ -11,7 +12,7 @@ from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.integrators.semi_implicit import SemiImplicitEuler
 from jaxrb.integrators.verlet import VelocityVerlet
 
-METHODS: dict[str, type[Method]] = {
+METHODS: dict[str, Callable[[], Method]] = {
     kind.__name__: kind
     for kind in (ExplicitEuler, SemiImplicitEuler, VelocityVerlet, RungeKutta4, ImplicitMidpoint)
 }

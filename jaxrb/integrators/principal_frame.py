@@ -18,7 +18,11 @@ def principal_frame(six: Array) -> jax.Array:
     """
     xx, yy, zz, xy, xz, yz = components(lax.stop_gradient(six))
     one, zero = jnp.ones_like(xx), jnp.zeros_like(xx)
-    start = (jnp.stack([xx, yy, zz]), jnp.stack([yz, xz, xy]), jnp.stack([one, zero, zero, zero, one, zero, zero, zero, one]))
+    start = (
+        jnp.stack([xx, yy, zz]),
+        jnp.stack([yz, xz, xy]),
+        jnp.stack([one, zero, zero, zero, one, zero, zero, zero, one]),
+    )
 
     def turn(index, carry):
         # The three planes in turn: roll the axes so that the plane is always that of the first two.
@@ -27,7 +31,9 @@ def principal_frame(six: Array) -> jax.Array:
         a, b, c = products  # entries (q, r), (p, r), (p, q)
         gap = q - p
         size = jnp.abs(gap) + jnp.sqrt(gap * gap + 4.0 * c * c)
-        t = jnp.where(size > 0, 2.0 * c * jnp.where(gap >= 0, 1.0, -1.0) / jnp.where(size > 0, size, 1.0), 0.0)
+        t = jnp.where(
+            size > 0, 2.0 * c * jnp.where(gap >= 0, 1.0, -1.0) / jnp.where(size > 0, size, 1.0), 0.0
+        )
         cosine = 1.0 / jnp.sqrt(1.0 + t * t)
         sine = t * cosine
         new = jnp.stack([q + t * c, r, p - t * c])

@@ -28,7 +28,10 @@ class SemiImplicitEuler(Method):
         velocity = advanced(state.velocity, dt, acceleration.linear)
         omega = advanced(state.angular_velocity, dt, acceleration.angular)
         if self.finite_rotation:
-            position, orientation = advanced(state.position, dt, velocity), turned(state.orientation, dt * omega)
+            position, orientation = (
+                advanced(state.position, dt, velocity),
+                turned(state.orientation, dt * omega),
+            )
             return State(position, orientation, velocity, omega, state.time)
         pose = moved(state, dt, Rates(velocity, state.orientation.derivative(omega), None, None), dt)
         return State(pose.position, pose.orientation, velocity, omega, state.time)

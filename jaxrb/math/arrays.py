@@ -6,7 +6,7 @@ against 68 ns a body-step for the matrix kinematics.
 """
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import jax
 import numpy as np
@@ -14,11 +14,19 @@ from jaxtyping import Float, Inexact
 
 from jaxrb.math.stacking import components, stack
 
-Array: TypeAlias = jax.Array | np.ndarray
-Scalar: TypeAlias = Float[Array, "*#batch"] | float
-Vector: TypeAlias = Float[Array, "*#batch 3"]
-Matrix: TypeAlias = Float[Array, "*#batch 3 3"]
-Real: TypeAlias = Inexact[Array, "..."]
+if TYPE_CHECKING:
+    # Numbers, tuples and arrays are all welcome to constructors; shapes are for the run-time checker.
+    Array: TypeAlias = Any
+    Scalar: TypeAlias = Any
+    Vector: TypeAlias = Any
+    Matrix: TypeAlias = Any
+    Real: TypeAlias = Any
+else:
+    Array: TypeAlias = jax.Array | np.ndarray
+    Scalar: TypeAlias = Float[Array, "*#batch"] | float
+    Vector: TypeAlias = Float[Array, "*#batch 3"]
+    Matrix: TypeAlias = Float[Array, "*#batch 3 3"]
+    Real: TypeAlias = Inexact[Array, "..."]
 
 
 def entries(matrix: Array) -> list[list[jax.Array]]:

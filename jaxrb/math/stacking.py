@@ -38,7 +38,9 @@ def _stacked(*parts: jax.Array) -> jax.Array:
 
 def _unstacked(array: jax.Array) -> list[jax.Array]:
     axis = array.ndim - 1
-    return [lax.squeeze(lax.slice_in_dim(array, i, i + 1, axis=axis), (axis,)) for i in range(array.shape[axis])]
+    return [
+        lax.squeeze(lax.slice_in_dim(array, i, i + 1, axis=axis), (axis,)) for i in range(array.shape[axis])
+    ]
 
 
 def _stack_aval(*avals: Any) -> Any:
@@ -69,7 +71,7 @@ def _unstack_transpose(cotangents: Sequence[Any], array: Any) -> list[Any]:
 def _stack_jvp(parts: Sequence[Any], tangents: Sequence[Any]) -> tuple[Any, Any]:
     if all(type(t) is ad.Zero for t in tangents):
         out = stack(*parts)
-        return out, ad.Zero.from_primal_value(out)
+        return out, ad.Zero.from_primal_value(out)  # pyright: ignore[reportAttributeAccessIssue]
     return stack(*parts), stack(*(ad.instantiate_zeros(t) for t in tangents))
 
 
@@ -77,7 +79,7 @@ def _unstack_jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> tuple[Any, 
     (array,), (tangent,) = primals, tangents
     out = components(array)
     if type(tangent) is ad.Zero:
-        return out, [ad.Zero.from_primal_value(o) for o in out]
+        return out, [ad.Zero.from_primal_value(o) for o in out]  # pyright: ignore[reportAttributeAccessIssue]
     return out, components(tangent)
 
 

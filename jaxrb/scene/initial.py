@@ -120,7 +120,9 @@ def _orientation(value: Any, count: int, rotation: type[Rotation], dtype: Any) -
     core = {Quaternion: 1, RotationMatrix: 2}.get(rotation, 1)
     (leaf,) = jax.tree.leaves(attitude)
     if leaf.ndim not in (core, core + 1) or (leaf.ndim == core + 1 and leaf.shape[0] != count):
-        raise WrongStructure(f"state.orientation: shape {leaf.shape} for {count} bodies; give one for each, or one for all")
+        raise WrongStructure(
+            f"state.orientation: shape {leaf.shape} for {count} bodies; give one for each, or one for all"
+        )
     if leaf.ndim == core + 1:
         return attitude
     xp = np if is_concrete(leaf) else jnp
@@ -145,7 +147,9 @@ def _checked(attitude: Rotation) -> Rotation:
         return attitude
     numbers = np.asarray(leaf, float)
     if not np.isfinite(numbers).all():
-        raise InvalidInput(f"state.orientation has a number {numbers[~np.isfinite(numbers)][0]!r}; all must be finite")
+        raise InvalidInput(
+            f"state.orientation has a number {numbers[~np.isfinite(numbers)][0]!r}; all must be finite"
+        )
     if isinstance(attitude, Quaternion):
         defect = np.linalg.norm(numbers, axis=-1) - 1.0
         kind = "the norm of the quaternion"
@@ -156,8 +160,8 @@ def _checked(attitude: Rotation) -> Rotation:
         mirrored = np.linalg.det(numbers) < 0
         if mirrored.any():
             raise InvalidInput(
-                f"state.orientation: the determinant of the matrix{_of_body(mirrored)} is negative: a reflection, not a "
-                "rotation; swap the sign of one axis"
+                f"state.orientation: the determinant of the matrix{_of_body(mirrored)} is negative: a reflection, "
+                "not a rotation; swap the sign of one axis"
             )
     else:
         return attitude
@@ -165,7 +169,9 @@ def _checked(attitude: Rotation) -> Rotation:
     off = float(np.abs(defect[worst] if defect.ndim else defect))
     if off <= _ROUNDED:
         return attitude
-    message = f"state.orientation{f' of body {worst[0]}' if worst else ''}: {kind} differs from 1 by {off:.3g}"
+    message = (
+        f"state.orientation{f' of body {worst[0]}' if worst else ''}: {kind} differs from 1 by {off:.3g}"
+    )
     if off > _REPAIRABLE:
         raise InvalidInput(
             f"{message}: {numbers[worst].tolist()} is no rotation; normalise it if that is what is meant"

@@ -75,7 +75,14 @@ def rollout(
 
 
 def _run_steps(
-    scene: Scene, state: State, torque: Vector | None, dt: Scalar, method: Method, *, steps: int, save_every: int
+    scene: Scene,
+    state: State,
+    torque: Vector | None,
+    dt: Scalar,
+    method: Method,
+    *,
+    steps: int,
+    save_every: int,
 ) -> tuple[Vector, State, State, Status]:
     dynamics = scene.prepared(state.dtype)
     start = state.time
@@ -86,7 +93,11 @@ def _run_steps(
         new = method.step(dynamics, state, dt, given if varying else torque)
         # The time is counted, not added up: 1e6 additions in float32 would lose the third digit.
         new = State(
-            new.position, new.orientation, new.velocity, new.angular_velocity, start + (done + 1).astype(dt.dtype) * dt
+            new.position,
+            new.orientation,
+            new.velocity,
+            new.angular_velocity,
+            start + (done + 1).astype(dt.dtype) * dt,
         )
         return (new, finite_steps + finite_per_body(new), done + 1), None
 
@@ -98,7 +109,7 @@ def _run_steps(
     bad = sound(state, method.renormalise)
     carry = (state, jnp.zeros_like(bad), jnp.zeros((), jnp.int32))
     regular, rest = None, None
-    if varying:
+    if torque is not None and varying:
         regular = torque[: saves * save_every].reshape(saves, save_every, *torque.shape[1:])
         rest = torque[saves * save_every :]
     carry, saved = lax.scan(jax.checkpoint(stretch, prevent_cse=False), carry, regular, length=saves)

@@ -27,8 +27,8 @@ class Scene(Checked):
     this order, from 0.
     """
 
-    bodies: tuple[Body, ...]
-    effects: tuple[Effect, ...] = ()
+    bodies: Any  # a Body or several; afterwards a tuple[Body, ...]
+    effects: Any = ()  # an Effect or several; afterwards a tuple[Effect, ...]
 
     def __post_init__(self):
         bodies, effects = self.bodies, self.effects
@@ -38,9 +38,13 @@ class Scene(Checked):
             raise WrongStructure(f"Scene.bodies: {bodies!r}; give a Body, or a tuple of at least one Body")
         for effect in effects:
             if isinstance(effect, type):
-                raise WrongStructure(f"Scene.effects: {effect.__name__} is a class; write {effect.__name__}(…)")
+                raise WrongStructure(
+                    f"Scene.effects: {effect.__name__} is a class; write {effect.__name__}(…)"
+                )
             if not isinstance(effect, Effect):
-                raise WrongStructure(f"Scene.effects: {effect!r} is no effect; wrap a function in CustomForce")
+                raise WrongStructure(
+                    f"Scene.effects: {effect!r} is no effect; wrap a function in CustomForce"
+                )
             effect.check(self.count)
 
     @property

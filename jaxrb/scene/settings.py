@@ -30,7 +30,9 @@ def check_positive(name: str, value: Any, unit: str = "s") -> None:
 def check_tolerance(name: str, value: Any) -> None:
     """Refuse a tolerance outside (0, 1)."""
     if is_concrete(value) and not (np.isscalar(value) and 0 < float(value) < 1):  # type: ignore[arg-type]
-        raise InvalidInput(f"{name} is {value!r}, but must lie between 0 and 1, ends excluded; 1e-6 is a good start")
+        raise InvalidInput(
+            f"{name} is {value!r}, but must lie between 0 and 1, ends excluded; 1e-6 is a good start"
+        )
 
 
 def check_count(name: str, value: Any, least: int) -> int:
@@ -107,6 +109,6 @@ def warn_of_coarse_steps(scene: Scene, state: State, dt: Any, method: Method) ->
         rate = float(np.max(effect.rate(bodies, state)))
         if rate * float(dt) > method.stability_limit:
             warn(
-                f"dt = {float(dt):.3g} s is beyond the stability of {type(method).__name__} for {type(effect).__name__} "
-                f"(rate {rate:.3g} /s); take dt below {method.stability_limit / rate:.2g} s"
+                f"dt = {float(dt):.3g} s is beyond the stability of {type(method).__name__} for "
+                f"{type(effect).__name__} (rate {rate:.3g} /s); take dt below {method.stability_limit / rate:.2g} s"
             )

@@ -53,7 +53,9 @@ def solve(
     max_steps = check_count("max_steps", max_steps, 1)
     solver = diffrax.Dopri8() if solver is None else solver
     if not isinstance(solver, diffrax.AbstractSolver):
-        raise WrongStructure(f"solver: {solver!r} is no solver of diffrax; use e.g. diffrax.Dopri8(), or rb.rollout")
+        raise WrongStructure(
+            f"solver: {solver!r} is no solver of diffrax; use e.g. diffrax.Dopri8(), or rb.rollout"
+        )
     adjoint = diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint
     times = _times(state, t1, times)
     states, reason = _integrate(
@@ -73,10 +75,20 @@ def solve(
 
 
 def _times(state: State, t1: Any, times: Any) -> Array | None:
-    if is_concrete(t1) and is_concrete(state.time):
-        if not np.isfinite(t1) or t1 <= float(state.time):
-            raise InvalidInput(f"t1 is {t1!r} s, but must be finite and later than the state's {float(state.time)} s")
-    return None if times is None else jnp.asarray(times, state.dtype)
+    if is_concrete(t1) and is_concrete(state.time) and not (np.isfinite(t1) and t1 > float(state.time)):
+        raise InvalidInput(
+            f"t1 is {t1!r} s, but must be finite and later than the state's {float(state.time)} s"
+        )
+    if times is None:
+        return None
+    if is_concrete(times) and is_concrete(t1) and is_concrete(state.time):
+        host = np.asarray(times, float)
+        inside = np.isfinite(host) & (host >= float(state.time)) & (host <= float(t1))
+        if host.ndim != 1 or not inside.all() or (np.diff(host) < 0).any():
+            raise InvalidInput(
+                f"times {host.tolist()} s: give (k,) ascending times between {float(state.time)} and {float(t1)} s"
+            )
+    return jnp.asarray(times, state.dtype)
 
 
 def _integrate_states(

@@ -50,7 +50,9 @@ def draw_boxes(axes: Any, half_extents: np.ndarray, positions: np.ndarray, matri
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
     for half, position, matrix in zip(half_extents, positions, matrices, strict=True):
         world = position + (corners * half) @ matrix.T
-        faces = Poly3DCollection([world[list(face)] for face in _FACES], facecolors=_FACE_COLOURS, edgecolor="k")
+        faces = Poly3DCollection(
+            [world[list(face)] for face in _FACES], facecolors=_FACE_COLOURS, edgecolor="k"
+        )
         faces.set_alpha(0.85)
         faces.set_linewidth(0.5)
         axes.add_collection3d(faces)

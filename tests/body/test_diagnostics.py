@@ -63,7 +63,9 @@ def test_point_velocity_is_the_rate_of_the_point_position(swarm, dtype, toleranc
 def test_kinetic_energy_is_the_sum_over_particles(swarm, particles, tolerance):
     masses, _, scene, state = swarm
     expected = 0.5 * np.einsum("k,bki->", masses, particles[1] ** 2)
-    assert float(rb.energy(scene, state)) == pytest.approx(expected, rel=tolerance(float64=1e-13, float32=3e-6))
+    assert float(rb.energy(scene, state)) == pytest.approx(
+        expected, rel=tolerance(float64=1e-13, float32=3e-6)
+    )
     per_body = diagnostics.kinetic_energy(scene.stacked(), state)
     assert per_body.shape == (2,)
 

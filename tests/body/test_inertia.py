@@ -33,7 +33,9 @@ def kinds(dtype):
 def particle_tensor(masses, positions) -> np.ndarray:
     """Σ m (d² 1 − d dᵀ) about the origin, in float64."""
     m, r = np.asarray(masses, np.float64), np.asarray(positions, np.float64)
-    return np.einsum("k,kij->ij", m, np.sum(r * r, -1)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None, :])
+    return np.einsum(
+        "k,kij->ij", m, np.sum(r * r, -1)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None, :]
+    )
 
 
 def test_kind_follows_from_the_shape_of_the_numbers():
@@ -68,7 +70,9 @@ def test_moment_about_an_axis_is_n_dot_in(kinds, dtype, tolerance):
         for n in unit_vectors(5):
             for length in (1.0, 3.0, 1e-25):
                 found = inertia.moment_about((length * n).astype(dtype))
-                assert float(found) == pytest.approx(n @ matrix @ n, rel=tolerance(float64=1e-14, float32=1e-6))
+                assert float(found) == pytest.approx(
+                    n @ matrix @ n, rel=tolerance(float64=1e-14, float32=1e-6)
+                )
 
 
 def test_moment_about_an_axis_is_the_sum_of_squared_distances(particles, dtype, tolerance):
@@ -79,7 +83,9 @@ def test_moment_about_an_axis_is_the_sum_of_squared_distances(particles, dtype, 
     for n in unit_vectors(5):
         distances = np.linalg.norm(np.cross(centred, n), axis=-1)
         found = float(properties.inertia.moment_about(n.astype(dtype)))
-        assert found == pytest.approx(np.sum(masses * distances**2), rel=tolerance(float64=1e-13, float32=1e-5))
+        assert found == pytest.approx(
+            np.sum(masses * distances**2), rel=tolerance(float64=1e-13, float32=1e-5)
+        )
 
 
 def test_steiner_gives_the_tensor_of_particles_about_any_point(particles, dtype, tolerance):
@@ -108,7 +114,9 @@ def test_rotated_inertia_is_that_of_the_rotated_particles(particles, dtype, tole
     found = of_particles(masses, positions).inertia.rotated(r)
     assert largest(found.as_matrix() - turned.inertia.as_matrix()) < tolerance(float64=1e-13, float32=5e-5)
     moved = of_particles(masses, positions).moved(np.asarray([1, 2, 3], dtype), r)
-    assert largest(moved.center_of_mass - turned.center_of_mass - np.asarray([1, 2, 3])) < tolerance(float64=1e-14, float32=5e-6)
+    assert largest(moved.center_of_mass - turned.center_of_mass - np.asarray([1, 2, 3])) < tolerance(
+        float64=1e-14, float32=5e-6
+    )
 
 
 def test_principal_axes_diagonalise_and_form_a_rotation(particles, dtype, tolerance):

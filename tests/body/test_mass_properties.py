@@ -31,11 +31,17 @@ def small(tolerance):
 
 SOLIDS = {
     "sphere": (rb.Sphere(0.8), lambda x, y, z: x**2 + y**2 + z**2 <= 0.64),
-    "ellipsoid": (rb.Ellipsoid((0.9, 0.5, 0.7)), lambda x, y, z: (x / 0.9) ** 2 + (y / 0.5) ** 2 + (z / 0.7) ** 2 <= 1),
+    "ellipsoid": (
+        rb.Ellipsoid((0.9, 0.5, 0.7)),
+        lambda x, y, z: (x / 0.9) ** 2 + (y / 0.5) ** 2 + (z / 0.7) ** 2 <= 1,
+    ),
     "box": (rb.Box((0.9, 0.5, 0.3)), lambda x, y, z: (abs(x) <= 0.9) & (abs(y) <= 0.5) & (abs(z) <= 0.3)),
     "cylinder": (rb.Cylinder(0.6, 0.8), lambda x, y, z: (x**2 + y**2 <= 0.36) & (abs(z) <= 0.8)),
     "capsule": (rb.Capsule(0.4, 0.5), lambda x, y, z: x**2 + y**2 + np.maximum(abs(z) - 0.5, 0) ** 2 <= 0.16),
-    "cone": (rb.Cone(0.8, 0.9), lambda x, y, z: (z >= 0) & (x**2 + y**2 <= (0.8 * (1 - z / 0.9)) ** 2) & (z <= 0.9)),
+    "cone": (
+        rb.Cone(0.8, 0.9),
+        lambda x, y, z: (z >= 0) & (x**2 + y**2 <= (0.8 * (1 - z / 0.9)) ** 2) & (z <= 0.9),
+    ),
 }
 
 
@@ -149,7 +155,9 @@ def test_empty_composites_and_degenerate_particles_are_refused():
         rb.Body.from_particles([1.0, 1.0], [[0, 0, 0], [1, 0, 0]])  # on a line: no moment about it
 
 
-@pytest.mark.parametrize("shape", [rb.Box((0.1, 0.05, 0.02)), rb.Capsule(0.1, 0.2), rb.Cone(0.1, 0.3), rb.Sphere(0.2)])
+@pytest.mark.parametrize(
+    "shape", [rb.Box((0.1, 0.05, 0.02)), rb.Capsule(0.1, 0.2), rb.Cone(0.1, 0.3), rb.Sphere(0.2)]
+)
 def test_mass_and_inertia_scale_with_density_and_size(shape, dtype, tolerance):
     """∂m/∂ρ = m/ρ and ∂I/∂ρ = I/ρ; with all lengths scaled by s, m ~ s³ and I ~ s⁵ (Euler's theorem)."""
     leaves, tree = jax.tree.flatten(shape)

@@ -37,7 +37,9 @@ def test_default_is_yaw_pitch_roll(dtype, tolerance):
 
 @pytest.mark.parametrize("sequence", SEQUENCES)
 def test_angles_give_the_matrix_of_scipy(dtype, tolerance, converted, sequence):
-    angles = np.concatenate([converted[sequence], np.random.default_rng(0).uniform(-7, 7, (40, 3))]).astype(dtype)
+    angles = np.concatenate([converted[sequence], np.random.default_rng(0).uniform(-7, 7, (40, 3))]).astype(
+        dtype
+    )
     expected = Scipy.from_euler(sequence.upper(), angles.astype(np.float64)).as_matrix()
     found = jax.jit(lambda a: EulerAngles(a, sequence).as_matrix())(angles)
     assert largest(found - expected) < tolerance(float64=3e-15, float32=2e-6)
@@ -99,7 +101,9 @@ def test_rates_at_gimbal_lock_are_finite_and_drop_only_the_component_that_no_rat
 def test_rates_give_back_the_angular_velocity_away_from_lock(dtype, tolerance, sequence):
     draw = np.random.default_rng(3)
     middle = 1.2 if sequence[0] == sequence[2] else 0.7
-    angles = np.stack([draw.uniform(-3, 3, 30), np.full(30, middle), draw.uniform(-3, 3, 30)], -1).astype(dtype)
+    angles = np.stack([draw.uniform(-3, 3, 30), np.full(30, middle), draw.uniform(-3, 3, 30)], -1).astype(
+        dtype
+    )
     omega = draw.normal(size=(30, 3)).astype(dtype)
     rotation = EulerAngles(angles, sequence)
     rates = rotation.derivative(omega).angles

@@ -17,7 +17,9 @@ def perturbed(dtype):
     m, q = RotationMatrix.exp(vectors).matrix, Quaternion.exp(vectors).wxyz
 
     def at(defect):
-        return RotationMatrix((m + defect * noise).astype(dtype)), Quaternion((q + defect * shift).astype(dtype))
+        return RotationMatrix((m + defect * noise).astype(dtype)), Quaternion(
+            (q + defect * shift).astype(dtype)
+        )
 
     return at
 

@@ -21,7 +21,9 @@ def group(request, dtype):
     rotate, unrotate = jax.jit(lambda a, v: a.rotate(v)), jax.jit(lambda a, v: a.unrotate(v))
     a = jax.jit(lambda v: of_vectors(kind, sequence, v))(vectors)
     b, c = (jax.tree.map(lambda x, by=by: np.roll(x, by, axis=0), a) for by in (7, 23))
-    one = jax.tree.map(lambda x: np.broadcast_to(x, (len(vectors), *x.shape)), identity(kind, sequence, dtype))
+    one = jax.tree.map(
+        lambda x: np.broadcast_to(x, (len(vectors), *x.shape)), identity(kind, sequence, dtype)
+    )
     ab, opposite = product(a, b), inverse(a)
     found = {
         "a": a, "b": b, "ab": ab, "ab.c": product(ab, c), "a.bc": product(a, product(b, c)), "one": one,
@@ -153,4 +155,6 @@ def test_quaternion_and_its_negative_are_the_same_rotation(dtype, small):
     assert largest(q.as_matrix() - negative.as_matrix()) == 0
     half_turn = np.abs(np.asarray(q.wxyz[:, 0])) < 1e-6
     assert largest((q.log() - negative.log())[~half_turn]) < small
-    assert largest(RotationMatrix.from_rotation(q).matrix - numbers(RotationMatrix.from_rotation(negative))) == 0
+    assert (
+        largest(RotationMatrix.from_rotation(q).matrix - numbers(RotationMatrix.from_rotation(negative))) == 0
+    )

@@ -4,7 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from rotation_samples import GROUPS, REPRESENTATIONS, largest, numbers, of_vectors, rotation_vectors, unit_vectors
+from rotation_samples import (
+    GROUPS,
+    REPRESENTATIONS,
+    largest,
+    numbers,
+    of_vectors,
+    rotation_vectors,
+    unit_vectors,
+)
 
 from jaxrb import EulerAngles, Quaternion, RotationMatrix, attitude_error, slerp
 
@@ -47,7 +55,9 @@ def motion(request, dtype):
             "along world": along(lambda t: as_kind(free.exp(t * omega) @ origin)),
         }
 
-    return {name: value if name == "start" else numbers(value) for name, value in rates(vectors, omega).items()}
+    return {
+        name: value if name == "start" else numbers(value) for name, value in rates(vectors, omega).items()
+    }
 
 
 @pytest.mark.parametrize("frame", ["body", "world"])
@@ -56,7 +66,9 @@ def test_derivative_is_the_rate_along_the_exponential(motion, frame, tolerance):
     far = unlocked(motion["start"])
     assert far.sum() > 60
     along, rate = np.asarray(motion[f"along {frame}"]), np.asarray(motion[frame])
-    if isinstance(motion["start"], Quaternion):  # of exp(ω t) the sign is free, of the product it is the start's
+    if isinstance(
+        motion["start"], Quaternion
+    ):  # of exp(ω t) the sign is free, of the product it is the start's
         assert largest(along - rate) < tolerance(float64=2e-15, float32=1e-6)
     assert largest((along - rate)[far]) < tolerance(float64=1e-12, float32=2e-4)
 

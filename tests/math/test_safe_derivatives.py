@@ -57,7 +57,22 @@ def spread(vectors) -> list:
 def special_vectors(dtype) -> np.ndarray:
     """Rotation vectors at zero, near zero, on the switches between series and formula, at half a turn."""
     axes = np.concatenate([EYE, unit_vectors(4, seed=2)])
-    angles = [1e-300, 1e-20, 1e-9, 1e-4, 0.2, 0.49999, 0.5, 0.50001, 0.99999, 1.0, 1.00001, 2.0, 3.1415, math.pi]
+    angles = [
+        1e-300,
+        1e-20,
+        1e-9,
+        1e-4,
+        0.2,
+        0.49999,
+        0.5,
+        0.50001,
+        0.99999,
+        1.0,
+        1.00001,
+        2.0,
+        3.1415,
+        math.pi,
+    ]
     vectors = (np.asarray(angles)[:, None, None] * axes).reshape(-1, 3)
     return np.concatenate([np.zeros((1, 3)), vectors]).astype(dtype)
 

@@ -16,7 +16,9 @@ def sample(dtype):
 
 def test_components_undo_stack(sample):
     np.testing.assert_array_equal(stack(*components(sample)), sample)
-    np.testing.assert_array_equal(stack(*components(sample)), jnp.stack([sample[..., i] for i in range(3)], axis=-1))
+    np.testing.assert_array_equal(
+        stack(*components(sample)), jnp.stack([sample[..., i] for i in range(3)], axis=-1)
+    )
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -41,7 +43,9 @@ def test_derivatives_of_both_modes_and_second_order(sample, dtype):
 
     tolerance = 1e-5 if dtype == jnp.float64 else 5e-2
     check_grads(function, (sample,), order=2, modes=("fwd", "rev"), atol=tolerance, rtol=tolerance)
-    check_grads(lambda v: function(jax.vmap(lambda w: w)(v)), (sample,), order=1, modes=("rev",), atol=0.1, rtol=0.1)
+    check_grads(
+        lambda v: function(jax.vmap(lambda w: w)(v)), (sample,), order=1, modes=("rev",), atol=0.1, rtol=0.1
+    )
 
 
 def test_unused_components_have_zero_cotangents(sample):

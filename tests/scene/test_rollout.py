@@ -142,12 +142,14 @@ def test_worlds_of_one_body_equal_one_scene_of_many(tolerance):
 
 
 def test_reverse_pass_needs_little_memory(free):
-    scene, state = free
+    _, state = free
 
     def memory(steps):
         def loss(inertia):
             scene = rb.Scene(rb.Body(2.0, inertia))
-            return jnp.sum(rb.rollout(scene, state, dt=1e-3, steps=steps, save_every=steps).final.orientation.wxyz)
+            return jnp.sum(
+                rb.rollout(scene, state, dt=1e-3, steps=steps, save_every=steps).final.orientation.wxyz
+            )
 
         compiled = jax.jit(jax.grad(loss)).lower(jnp.asarray([1.0, 2.0, 2.5], state.dtype)).compile()
         return compiled.memory_analysis().temp_size_in_bytes
@@ -159,5 +161,5 @@ def test_reverse_pass_needs_little_memory(free):
 def test_state_of_another_scene_is_refused(free):
     scene, _ = free
     other = rb.Scene(rb.replicate(BRICK, 2))
-    with pytest.raises(rb.WrongStructure, match="2 bodies|1 bodies"):
+    with pytest.raises(rb.WrongStructure, match=r"2 bodies|1 bodies"):
         rb.step(scene, other.state())

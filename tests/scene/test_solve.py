@@ -24,7 +24,9 @@ def start(scene):
 def test_solve_agrees_with_rollout(scene, rotation, tolerance):
     state = scene.state(velocity=(1.0, 0.0, 5.0), angular_velocity=(0.3, 1.0, 0.2), rotation=rotation)
     rtol = tolerance(float64=1e-10, float32=1e-5)
-    solved = rb.solve(scene, state, t1=2.0, solver=diffrax.Tsit5(), rtol=rtol, atol=rtol, torque=(0.1, 0.0, 0.0))
+    solved = rb.solve(
+        scene, state, t1=2.0, solver=diffrax.Tsit5(), rtol=rtol, atol=rtol, torque=(0.1, 0.0, 0.0)
+    )
     rolled = rb.rollout(scene, state, dt=0.01, steps=200, torque=(0.1, 0.0, 0.0))
     limit = tolerance(float64=1e-8, float32=2e-4)
     np.testing.assert_allclose(solved.final.position, rolled.final.position, atol=limit)
@@ -39,7 +41,9 @@ def test_saves_at_the_times_asked_for(scene, start, tolerance):
     np.testing.assert_allclose(path.times, times)
     rolled = rb.rollout(scene, start, dt=0.01, steps=150, save_every=25)
     np.testing.assert_allclose(
-        path.states.position[:, 0], rolled.states.position[[0, 1, 4], 0], atol=tolerance(float64=1e-8, float32=2e-4)
+        path.states.position[:, 0],
+        rolled.states.position[[0, 1, 4], 0],
+        atol=tolerance(float64=1e-8, float32=2e-4),
     )
     assert float(path.final.time) == pytest.approx(1.5)
 
@@ -57,18 +61,26 @@ def test_solve_is_differentiable(scene, start, tolerance):
     @jax.jit
     def height(speed):
         state = rb.State(
-            start.position, start.orientation, start.velocity.at[0, 2].set(speed), start.angular_velocity, start.time
+            start.position,
+            start.orientation,
+            start.velocity.at[0, 2].set(speed),
+            start.angular_velocity,
+            start.time,
         )
         return rb.solve(scene, state, t1=1.0, rtol=rtol, atol=rtol).final.position[0, 2]
 
     # ż = v e^(−kt): ∂z(1)/∂v = (1 − e^(−k))/k with k = c/m
     k = 0.05
-    assert float(jax.grad(height)(5.0)) == pytest.approx((1 - np.exp(-k)) / k, rel=tolerance(float64=1e-7, float32=1e-3))
+    assert float(jax.grad(height)(5.0)) == pytest.approx(
+        (1 - np.exp(-k)) / k, rel=tolerance(float64=1e-7, float32=1e-3)
+    )
 
 
 def test_wrong_settings_are_refused(scene, start):
     with pytest.raises(rb.WrongStructure, match="solver of diffrax"):
         rb.solve(scene, start, t1=1.0, solver=rb.RungeKutta4())
+    with pytest.raises(rb.InvalidInput, match="ascending"):
+        rb.solve(scene, start, t1=1.0, times=[0.5, 0.2])
     for t1 in (0.0, -1.0, float("nan")):
         with pytest.raises(rb.InvalidInput, match="t1"):
             rb.solve(scene, start, t1=t1)
