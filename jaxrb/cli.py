@@ -80,6 +80,7 @@ def main(arguments: list[str] | None = None) -> None:
                 description="Differentiable rigid-body dynamics that is honest about its accuracy. Commands run in "
                 "float64; add --float32 for float32.",
                 args=arguments,
+                config=(tyro.conf.PositionalRequiredArgs,),
             )
     except JaxrbError as error:
         print(f"jaxrb: {error}", file=sys.stderr)

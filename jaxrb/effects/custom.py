@@ -24,6 +24,13 @@ class CustomForce(Force):
     parameters: Any = None
     potential: Callable[..., Scalar] | None = eqx.field(static=True, default=None)
 
+    def __post_init__(self):
+        super().__post_init__()
+        if not callable(self.function):
+            raise WrongStructure(
+                f"CustomForce.function: {self.function!r} is no function; give function(body, state, parameters)"
+            )
+
     def wrench(self, body: MassProperties, state: State) -> Wrench:
         wrench = self.function(body, state, self.parameters)
         if not isinstance(wrench, Wrench):

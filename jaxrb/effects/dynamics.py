@@ -15,6 +15,7 @@ from jaxrb.body.mass_properties import MassProperties
 from jaxrb.body.state import State
 from jaxrb.effects.effect import Effect, Wrench
 from jaxrb.effects.fixed_point import FixedPoint
+from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Scalar, Vector
 
 
@@ -68,8 +69,18 @@ def prepare(bodies: MassProperties, effects: tuple[Effect, ...], dtype: Any) -> 
 
     bodies, effects = jax.tree.map(cast, (bodies, effects))
     fixed = tuple(effect for effect in effects if isinstance(effect, FixedPoint))
+    _check_held_once(fixed, bodies.mass.shape[0])
     rotating = bodies.inertia
     for point in fixed:
         rotating = point.inertia_about_point(MassProperties(bodies.mass, bodies.center_of_mass, rotating))
     active = tuple(effect for effect in effects if not isinstance(effect, FixedPoint))
     return Dynamics(bodies, 1.0 / bodies.mass, solver(rotating), active, fixed)
+
+
+def _check_held_once(fixed: tuple[FixedPoint, ...], count: int) -> None:
+    held = [body for point in fixed for body in point.chosen(count)]
+    for body in held:
+        if held.count(body) > 1:
+            raise WrongStructure(
+                f"body {body} is held by more than one FixedPoint; hold one point of it, and another by a stiff spring"
+            )

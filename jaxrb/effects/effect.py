@@ -57,7 +57,7 @@ class Effect(Checked):
         return None
 
     def rate(self, bodies: MassProperties, state: State) -> np.ndarray | float:
-        """Estimate on the host of the fastest rate [1/s] that this effect gives a body: an oscillation's ω, a decay's 1/τ.
+        """Estimate on the host of the fastest rate [1/s] that this effect gives: an oscillation's ω, a decay's 1/τ.
 
         A step dt with dt · rate above the method's limit is unstable; the run warns.
         """
@@ -82,20 +82,18 @@ class Force(Effect):
         return None
 
     def check(self, count: int) -> None:
-        if self.bodies is not None:
-            check_indices(type(self).__name__, "bodies", self.bodies, count)
-        acted = count if self.bodies is None else len(self.bodies)
-        for field in quantities(type(self)):
-            value, core = getattr(self, field.name), field.metadata["quantity"]["core"]
-            if (
-                value is not None
-                and np.ndim(value) > len(core)
-                and np.shape(value)[: -len(core) or None] != (acted,)
-            ):
-                raise WrongStructure(
-                    f"{type(self).__name__}.{field.name}: shape {np.shape(value)}; give {core} for all bodies, or "
-                    f"{(acted, *core)} for one value a body"
-                )
+        self.check_bodies(count)
+        check_shapes(self, count if self.bodies is None else len(self.bodies), "all bodies", "one value a body")
+
+    def check_bodies(self, count: int) -> None:
+        """Refuse `bodies` that a scene of `count` bodies does not have, or that are named twice."""
+        if self.bodies is None:
+            return
+        name = type(self).__name__
+        check_indices(name, "bodies", self.bodies, count)
+        twice = [i for i in self.bodies if self.bodies.count(i) > 1]
+        if twice:
+            raise WrongStructure(f"{name}.bodies: body {twice[0]} is named twice; name it once, or use two effects")
 
     def wrench_on(self, bodies: MassProperties, state: State) -> Wrench:
         with jax.named_scope(type(self).__name__):
@@ -139,8 +137,21 @@ def scattered(wrench: Wrench, index: np.ndarray, state: State) -> Wrench:
     return jax.tree.map(spread, wrench)
 
 
+def check_shapes(effect: Effect, count: int, all_of_them: str, one_each: str) -> None:
+    """Refuse numbers whose leading axis does not run over the `count` things that the effect acts on."""
+    for field in quantities(type(effect)):
+        value, core = getattr(effect, field.name), field.metadata["quantity"]["core"]
+        if value is None or np.ndim(value) == len(core):
+            continue
+        if np.shape(value) != (count, *core):
+            raise WrongStructure(
+                f"{type(effect).__name__}.{field.name}: shape {np.shape(value)}; give {core} for {all_of_them}, or "
+                f"{(count, *core)} for {one_each}"
+            )
+
+
 def check_indices(owner: str, field: str, indices: tuple[int, ...], count: int) -> None:
-    """Refuse body numbers that the scene does not have, or has twice."""
+    """Refuse body numbers that the scene does not have."""
     if not isinstance(indices, tuple) or not all(isinstance(i, (int, np.integer)) for i in indices):
         raise WrongStructure(f"{owner}.{field}: {indices!r}; give a tuple of body numbers, or None for all")
     for i in indices:

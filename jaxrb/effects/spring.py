@@ -8,7 +8,7 @@ import numpy as np
 from jaxrb.body.mass_properties import MassProperties
 from jaxrb.body.state import PER_BODY, State
 from jaxrb.checks import quantity
-from jaxrb.effects.effect import Effect, Wrench, check_indices, scattered, taken
+from jaxrb.effects.effect import Effect, Wrench, check_indices, check_shapes, scattered, taken
 from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.math.safe import norm, unit_or
@@ -38,6 +38,7 @@ class SpringDamper(Effect):
         check_indices("SpringDamper", "body_b", b, count)
         if b and len(a) != len(b):
             raise WrongStructure(f"SpringDamper: body_a {a} and body_b {b} must name equally many bodies")
+        check_shapes(self, len(a), "all springs", "one value a spring")
 
     def wrench_on(self, bodies: MassProperties, state: State) -> Wrench:
         with jax.named_scope("SpringDamper"):

@@ -3,12 +3,13 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxrb.body.mass_properties import MassProperties
 from jaxrb.body.state import State
-from jaxrb.checks import quantity
+from jaxrb.checks import as_array, check_quantity, is_concrete, quantity
 from jaxrb.effects.effect import Force, Wrench
-from jaxrb.errors import WrongStructure
+from jaxrb.errors import InvalidInput, WrongStructure
 from jaxrb.math.arrays import Array, Vector
 from jaxrb.math.vector import cross
 
@@ -33,18 +34,25 @@ class PrescribedTorque(Force):
     torque: Vector = quantity((3,), unit="N m")
     times: Array | None = eqx.field(default=None, kw_only=True)
 
-    def __check_init__(self):
+    def __post_init__(self):
+        super().__post_init__()
         if self.times is None:
             return
-        shape = jnp.shape(self.times)
-        if len(shape) != 1 or jnp.shape(self.torque) != (*shape, 3):
+        self.times = times = as_array("PrescribedTorque.times", self.times)
+        if times.ndim != 1 or np.shape(self.torque) != (*times.shape, 3):
             raise WrongStructure(
-                f"PrescribedTorque: times {shape} and torque {jnp.shape(self.torque)}; give (k,) and (k, 3)"
+                f"PrescribedTorque: times {times.shape} and torque {np.shape(self.torque)}; give (k,) and (k, 3)"
             )
+        check_quantity("PrescribedTorque.times", times, unit="s")
+        if is_concrete(times) and (np.diff(times) <= 0).any():
+            first = np.asarray(times)[1:][np.diff(times) <= 0][0]
+            raise InvalidInput(f"PrescribedTorque.times must ascend, but {first} s does not come after the one before")
 
     def check(self, count: int) -> None:
         if self.times is None:
             super().check(count)
+        else:  # the leading axis of the torque runs over the times
+            self.check_bodies(count)
 
     def _axes(self):
         return super()._axes() if self.times is None else jax.tree.map(lambda _: None, self)

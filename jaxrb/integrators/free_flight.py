@@ -12,10 +12,11 @@ from jax import lax
 
 from jaxrb.body.inertia import Inertia, PrincipalInertia, SphericalInertia
 from jaxrb.errors import WrongStructure
-from jaxrb.integrators.free_flight_attitude import angle, angle_lanes, attitude, joined, orbit_of
+from jaxrb.integrators.free_flight_attitude import angle, angle_lanes, attitude, orbit_of
 from jaxrb.integrators.free_flight_motion import Motion, Triple, motion_of
 from jaxrb.integrators.free_flight_tangent import integral_lanes, tangent_of
 from jaxrb.integrators.principal_frame import principal_frame
+from jaxrb.math.elliptic import carlson
 from jaxrb.math.arrays import Scalar, Vector, components, stack
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.math.vector import matvec
@@ -59,9 +60,10 @@ def principal_rotation(
     count. The derivative is defined at every input, equal moments, pure spin, rest and the separatrix included.
     """
     units = _units(omega, moments)
-    motion, orbit = _moved(units, omega, moments, time)
-    wxyz, then, _ = _rotation(motion, orbit, [])
-    return wxyz, then * units[1]
+    motion = _moved(units, omega, moments, time)
+    orbit = orbit_of(motion)
+    psi = angle(motion, orbit, *carlson(*angle_lanes(orbit, motion.clock)))
+    return attitude(motion, orbit, psi), stack(*motion.omega_then) * units[1]
 
 
 @principal_rotation.defjvp
@@ -70,11 +72,13 @@ def _rotation_jvp(primals: Any, tangents: Any) -> Any:
     domega, dmoments, dproducts, dtime = tangents
     units = _units(omega, moments)
     inertia, spin = units
-    motion, orbit = _moved(units, omega, moments, time)
-    wxyz, then, third = _rotation(motion, orbit, [integral_lanes(motion.clock)])
+    motion = _moved(units, omega, moments, time)
+    orbit = orbit_of(motion)
+    first, third = carlson(*angle_lanes(orbit, motion.clock).with_more(integral_lanes(motion.clock)))
+    wxyz = attitude(motion, orbit, angle(motion, orbit, first, third))
     changes = (domega / spin, dmoments / inertia, dproducts / inertia, dtime * spin)
-    dwxyz, dthen = tangent_of(motion, wxyz, third, *changes)
-    return (wxyz, then * spin), (dwxyz, dthen * spin)
+    dwxyz, dthen = tangent_of(motion, wxyz, third[3:], *changes)
+    return (wxyz, stack(*motion.omega_then) * spin), (dwxyz, dthen * spin)
 
 
 def _units(omega: Vector, moments: Vector) -> tuple[Scalar, Scalar]:
@@ -90,17 +94,9 @@ def _units(omega: Vector, moments: Vector) -> tuple[Scalar, Scalar]:
     return inertia, power(jnp.where(spin > 0, spin, 1.0))
 
 
-def _moved(units: tuple[Scalar, Scalar], omega: Vector, moments: Vector, time: Scalar) -> tuple[Motion, Any]:
+def _moved(units: tuple[Scalar, Scalar], omega: Vector, moments: Vector, time: Scalar) -> Motion:
     inertia, spin = units
-    motion = motion_of(_triple(moments / inertia), _triple(omega / spin), time * spin)
-    return motion, orbit_of(motion)
-
-
-def _rotation(motion: Motion, orbit: Any, more: list) -> tuple[jax.Array, Vector, list[Scalar]]:
-    """wxyz, ω and R_J of any further lanes."""
-    first, third = joined([angle_lanes(orbit, motion.clock), *more]).evaluated()
-    psi = angle(motion, orbit, first, third)
-    return attitude(motion, psi), stack(*motion.omega_then), third[3:]
+    return motion_of(_triple(moments / inertia), _triple(omega / spin), time * spin)
 
 
 def _triple(array: Vector) -> Triple:

@@ -4,10 +4,10 @@ Notation and units as in `free_flight_motion`. With n = L/|L|, e the end of the 
 and p(n) the smallest rotation that takes n to e, the rotation from the body's axes at time t to those at the start is
 p(n₀)⁻¹ · Rot(e, ψ) · p(n), and ψ̇ = (2T + L ω_e)/(L + L_e) > 0.
 
-ψ splits into a rate, an integral J = ∫ sn²/(1 + ν sn²) du and an angle of the position on the orbit. There are two such
-splittings, with ν and with ν' = m/ν, linked by the transformation of R_J (DLMF 19.21.12). The smaller of the two keeps
-the argument p of R_J within [1, 2], where it is accurate to the last digits for every modulus and every shape of body;
-with the other one p reaches 1e12 for slender bodies.
+ψ splits into a rate, an integral J = ∫ sn²/(1 + ν sn²) du and an angle α that is a function of the position on the
+orbit. There are two such splittings, with ν and with ν' = m/ν, linked by the transformation of R_J (DLMF 19.21.12). The
+smaller of the two keeps the argument p of R_J within [1, 2], where it is accurate to the last digits for every modulus
+and every shape of body; with the other one p reaches 1e12 for slender bodies.
 """
 
 from typing import NamedTuple
@@ -16,150 +16,137 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrb.integrators.free_flight_motion import Clock, Motion, Triple, divided, pick, triple
+from jaxrb.integrators.free_flight_motion import Clock, Motion, divided, pick, triple
 from jaxrb.math.arrays import Scalar, stack
-from jaxrb.math.elliptic import carlson
 from jaxrb.math.quaternion import product
 
 
 class Lanes(NamedTuple):
-    """Arguments of Carlson's integrals, evaluated together: one loop in the program, whatever their number."""
+    """Arguments (k,) of Carlson's integrals, evaluated together: one loop in the program, whatever their number."""
 
-    x: list[Scalar]
-    y: list[Scalar]
-    z: list[Scalar]
-    p: list[Scalar]
+    x: jax.Array
+    y: jax.Array
+    z: jax.Array
+    p: jax.Array
 
-    def evaluated(self) -> tuple[list[jax.Array], list[jax.Array]]:
-        """R_F and R_J of every lane."""
-        first, third = carlson(*(jnp.stack(list(row)) for row in self))
-        return list(first), list(third)
-
-
-def joined(groups: list[Lanes]) -> Lanes:
-    """All lanes of all groups, in order."""
-    columns = [[lane for group in groups for lane in group[row]] for row in range(4)]
-    return Lanes(*columns)
+    def with_more(self, more: "Lanes") -> "Lanes":
+        """These and then the others."""
+        return Lanes(*(jnp.concatenate(pair) for pair in zip(self, more, strict=True)))
 
 
 class Orbit(NamedTuple):
-    """Two positions on one orbit, as sine and cosine of the amplitude, and which splitting of ψ serves it."""
+    """The start and the end of the motion on its orbit, arrays (2,), and the splitting of ψ that serves it.
 
-    sines: tuple[Scalar, Scalar]
-    cosines: tuple[Scalar, Scalar]
+    `momentum` is in the right-handed axes a, ±b, e. `sine` and `cosine` are of the amplitude, turned by π where that
+    makes the cosine positive. `inner` tells whether the splitting is the one with ν'.
+    """
+
+    momentum: tuple[jax.Array, jax.Array, jax.Array]
+    sine: jax.Array
+    cosine: jax.Array
     inner: Scalar
     nu: Scalar
     weight: Scalar
-    amplitude_a: Scalar
-    amplitude_b: Scalar
-    stretch: Scalar
-    sign: Scalar
+    turn: tuple[jax.Array, jax.Array]
+    signs: tuple[Scalar, Scalar]
+    sense: Scalar
 
 
 def orbit_of(motion: Motion) -> Orbit:
     """Where the motion starts and ends on its orbit."""
     a, b, c, parity = motion.axes
+    clock = motion.clock
     ia, ib, ic = (pick(i, motion.moments) for i in (a, b, c))
-    # sin and cos of the amplitude are ω_b and ω_a over their largest values. The sign makes the amplitude grow in time.
-    ca, cb = ia * jnp.abs(ic - ia), ib * jnp.abs(ic - ib)
-    wa, wb, wc = (pick(i, motion.omega) for i in (a, b, c))
-    sign = jnp.where(ic >= ia, 1.0, -1.0).astype(ia.dtype)
-    forward = parity * sign * jnp.where(wc >= 0, 1.0, -1.0)
-    ends = [
-        _amplitude(jnp.sqrt(ca) * x, forward * jnp.sqrt(cb) * y)
-        for x, y in ((wa, wb), (pick(a, motion.omega_then), pick(b, motion.omega_then)))
-    ]
-    ka, kb = ia * jnp.abs(ic - ib), ib * jnp.abs(ic - ia)
-    d, e = ca * wa * wa + cb * wb * wb, ib * jnp.abs(ib - ia) * wb * wb + ic * jnp.abs(ic - ia) * wc * wc
-    outer, inner = divided(ic * jnp.abs(ib - ia), ka), divided(d * ia, e * ic)
-    # ν' ≤ ν without the divisions: e = 0 is ν' = ∞, ka = 0 is ν = ∞.
-    small = d * ia * ka <= e * ic * (ic * jnp.abs(ib - ia))
-    nu = jnp.where(small, inner, outer)
-    root = jnp.sqrt(divided(kb, ka, 1.0) * (1.0 + inner))
-    return Orbit(
-        (ends[0][0], ends[1][0]), (ends[0][1], ends[1][1]), small, nu, jnp.where(nu == 0, 0.0, nu * root),
-        jnp.sqrt(ka), jnp.sqrt(kb), jnp.sqrt(1.0 + inner), sign,
-    )  # fmt: skip
-
-
-def _amplitude(x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """(sin, cos) of the angle of (x, y), turned by π where that makes the cosine positive; (0, 1) at the centre."""
-    squared = x * x + y * y
+    first, last = (tuple(pick(i, m) for i in (a, b, c)) for m in (motion.momentum, motion.momentum_then))
+    end = jnp.where(first[2] >= 0, 1.0, -1.0).astype(ia.dtype)
+    along_b, sense = parity * end, jnp.where(ic >= ia, 1.0, -1.0).astype(ia.dtype)
+    x, y, z = (stack(*pair) for pair in zip(first, last, strict=True))
+    y, z = along_b * y, end * z
+    # The amplitude: ω_b and ω_a over their largest values, with the sign that makes it grow in time.
+    ab, bc, ac = jnp.abs(ib - ia), jnp.abs(ic - ib), jnp.abs(ic - ia)
+    cosine, sine = jnp.sqrt(ac * ib) * x, sense * (jnp.sqrt(bc * ia) * y)
+    squared = cosine * cosine + sine * sine
     centre = squared == 0
-    inverse = jnp.where(x < 0, -1.0, 1.0) / jnp.sqrt(jnp.where(centre, 1.0, squared))
-    return jnp.where(centre, 0.0, y * inverse), jnp.where(centre, 1.0, x * inverse)
+    inverse = jnp.where(cosine < 0, -1.0, 1.0) / jnp.sqrt(jnp.where(centre, 1.0, squared))
+    cosine, sine = jnp.where(centre, 1.0, cosine * inverse), jnp.where(centre, 0.0, sine * inverse)
+    # L² − 2T I_a and 2T I_c − L² up to sign, as sums.
+    d = divided(ac * first[0] ** 2, ia) + divided(bc * first[1] ** 2, ib)
+    e = divided(ab * first[1] ** 2, ib) + divided(ac * first[2] ** 2, ic)
+    outer, lesser = divided(ic * ab, ia * bc), divided(d * ia, e * ic)
+    # ν' ≤ ν without the divisions: e = 0 is ν' = ∞, and I_b = I_c is ν = ∞.
+    inner = d * (ia * ia) * bc <= e * (ic * ic) * ab
+    nu = jnp.where(inner, lesser, outer)
+    weight = jnp.where(nu == 0, 0.0, nu * jnp.sqrt(divided(ib * ac, ia * bc, 1.0) * (1.0 + lesser)))
+    turn = _position_angle(clock, sine, cosine, inner, nu, jnp.sqrt(ia * bc), jnp.sqrt(ib * ac))
+    return Orbit((x, y, z), sine, cosine, inner, nu, weight, turn, (along_b, end), jnp.where(inner, sense, -sense))
+
+
+def _position_angle(
+    clock: Clock, s: jax.Array, c: jax.Array, inner: Scalar, nu: Scalar, ka: Scalar, kb: Scalar
+) -> tuple[jax.Array, jax.Array]:
+    """cos α/2 and sin α/2, with α in [−π/2, π/2]: for ν' the difference of two amplitudes, for ν an amplitude."""
+    stretch, width = jnp.sqrt(1.0 + nu), jnp.sqrt(clock.complement + clock.m * c * c)
+    difference = ka * kb * s * c * (nu + clock.m * s * s) / (stretch + width)
+    y = jnp.where(inner, difference, kb * s)
+    x = jnp.where(inner, ka * ka * c * c * width + kb * kb * stretch * s * s, ka * c)
+    return _half(x, y)
+
+
+def _half(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Cosine and sine of half the angle of (x, y), for x ≥ 0; the angle of (0, 0) is 0."""
+    shifted = x + jnp.sqrt(x * x + y * y)
+    squared = shifted * shifted + y * y
+    nowhere = squared == 0
+    inverse = 1.0 / jnp.sqrt(jnp.where(nowhere, 1.0, squared))
+    return jnp.where(nowhere, 1.0, shifted * inverse), y * inverse
 
 
 def angle_lanes(orbit: Orbit, clock: Clock) -> Lanes:
     """The integrals of `angle`: at the start, at the end and over a quarter period."""
-    one = jnp.ones_like(clock.m)
-    squares = [c * c for c in orbit.cosines]
-    complement = _complement(clock)
-    widths = [complement + clock.m * square for square in squares]
-    arguments = [one + orbit.nu * s * s for s in orbit.sines]
-    return Lanes(
-        [*squares, jnp.zeros_like(one)], [*widths, complement], [one] * 3, [*arguments, one + orbit.nu]
-    )
+    one = jnp.ones((1,), clock.m.dtype)
+    sine, cosine = jnp.concatenate([orbit.sine, one]), jnp.concatenate([orbit.cosine, 0.0 * one])
+    # Exactly on the separatrix, where the clock's 1 − m stands for 0, one that is nearer 1 and changes no digit of J
+    # less its linear part: the quarter period is then 38, not 335, and so is the round-off.
+    complement = jnp.where(clock.separatrix, jnp.finfo(clock.m.dtype).eps ** 2, clock.complement)
+    square = cosine * cosine
+    ones = jnp.ones_like(square)
+    return Lanes(square, complement + clock.m * square, ones, ones + orbit.nu * sine * sine)
 
 
-def _complement(clock: Clock) -> Scalar:
-    """1 − m; exactly on the separatrix, where the clock's stands for 0, one that is nearer 1 and changes no digit of J
-    less its linear part: the quarter period is then 38, not 335, and so is the round-off."""
-    return jnp.where(clock.separatrix, jnp.finfo(clock.m.dtype).eps ** 2, clock.complement)
-
-
-def angle(motion: Motion, orbit: Orbit, first: list[Scalar], third: list[Scalar]) -> Scalar:
-    """ψ(t), from R_F and R_J of the lanes above."""
-    clock, (s0, s1), (c0, c1) = motion.clock, orbit.sines, orbit.cosines
-    u0, u1 = s0 * first[0], s1 * first[1]
-    j0, j1, quarter = (s * s * s * third[i] / 3.0 for i, s in enumerate((s0, s1, jnp.ones_like(s0))))
+def angle(motion: Motion, orbit: Orbit, first: jax.Array, third: jax.Array) -> Scalar:
+    """ψ(t) less the change of α, from R_F and R_J of the lanes above."""
+    clock, s = motion.clock, orbit.sine
+    u = s * first[:2]
+    j = s * s * s * third[:2] / 3.0
     period = 2.0 * clock.chain.quarter
-    passed = clock.rate * clock.remainder + (u0 - u1)
+    passed = clock.rate * clock.remainder + (u[0] - u[1])
     extra = jnp.round(passed / period)
     turns = clock.halves + extra
     # Near the middle axis the position no longer tells the time, and J grows with the time: that part is taken from it.
     late = passed - period * extra + clock.rate * clock.beyond
-    integral = j1 - j0 + 2.0 * turns * quarter + late / (1.0 + orbit.nu)
-    angle0, angle1 = (_position_angle(orbit, clock, s, c) for s, c in ((s0, c0), (s1, c1)))
-    ia, ic = pick(motion.axes.a, motion.moments), pick(motion.axes.c, motion.moments)
+    integral = j[1] - j[0] + turns * (third[2] / 1.5) + late / (1.0 + orbit.nu)
     winding = jnp.where(orbit.inner, 0.0, np.pi * turns)
-    sign = jnp.where(orbit.inner, orbit.sign, -orbit.sign)
-    rate = _length(motion.momentum) / jnp.where(orbit.inner, ic, ia)
-    return rate * motion.time + sign * (orbit.weight * integral + (angle1 - angle0) + winding)
+    moment = jnp.where(orbit.inner, pick(motion.axes.c, motion.moments), pick(motion.axes.a, motion.moments))
+    x, y, z = motion.momentum
+    rate = jnp.sqrt(x * x + y * y + z * z) / moment
+    return rate * motion.time + orbit.sense * (orbit.weight * integral + winding)
 
 
-def _position_angle(orbit: Orbit, clock: Clock, s: Scalar, c: Scalar) -> Scalar:
-    """The part of ψ that is a function of the position: with ν' the difference of two amplitudes, which never winds."""
-    ka, kb, stretch = orbit.amplitude_a, orbit.amplitude_b, orbit.stretch
-    width = jnp.sqrt(clock.complement + clock.m * c * c)
-    difference = ka * kb * s * c * (stretch * stretch - 1.0 + clock.m * s * s) / (stretch + width)
-    y = jnp.where(orbit.inner, difference, kb * s)
-    x = jnp.where(orbit.inner, ka * ka * c * c * width + kb * kb * stretch * s * s, ka * c)
-    return jnp.arctan2(y, x)
-
-
-def attitude(motion: Motion, psi: Scalar) -> jax.Array:
-    """The rotation p(n₀)⁻¹ · Rot(e, ψ) · p(n) as wxyz (4,)."""
-    end = motion.axes.c
-    sign = jnp.where(pick(end, motion.momentum) >= 0, 1.0, -1.0).astype(psi.dtype)
-    e = triple(lambda i, j, k: jnp.where(end == i, sign, 0.0))
-    w, x, y, z = _to_end(motion.momentum, e)
-    half = 0.5 * psi
-    s = jnp.sin(half)
-    turn = stack(jnp.cos(half), *(s * component for component in e))
-    return product(product(stack(w, -x, -y, -z), turn), stack(*_to_end(motion.momentum_then, e)))
-
-
-def _length(v: Triple) -> Scalar:
-    return jnp.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-
-
-def _to_end(momentum: Triple, e: Triple) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """Smallest rotation that takes the direction of the momentum to the unit vector e, which is less than π away."""
-    x, y, z = momentum
-    w = _length(momentum) + (x * e[0] + y * e[1] + z * e[2])
-    v = (y * e[2] - z * e[1], z * e[0] - x * e[2], x * e[1] - y * e[0])
-    squared = w * w + v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+def attitude(motion: Motion, orbit: Orbit, psi: Scalar) -> jax.Array:
+    """The rotation b₀⁻¹ · Rot(e, ψ) · b₁ as wxyz (4,), where b = Rot(e, ±α) · p(n) at the two ends."""
+    x, y, z = orbit.momentum
+    # p(n) = [|L| + L_e, L × e] over its length.
+    w = jnp.sqrt(x * x + y * y + z * z) + z
+    squared = w * w + x * x + y * y
     rest = squared == 0
     inverse = 1.0 / jnp.sqrt(jnp.where(rest, 1.0, squared))
-    return jnp.where(rest, 1.0, w * inverse), v[0] * inverse, v[1] * inverse, v[2] * inverse
+    w, x, y = jnp.where(rest, 1.0, w * inverse), x * inverse, y * inverse
+    c, s = orbit.turn[0], orbit.sense * orbit.turn[1]
+    ends = stack(c * w, c * y + s * x, s * y - c * x, s * w)
+    half, zero = 0.5 * psi, jnp.zeros_like(psi)
+    turned = product(stack(jnp.cos(half), zero, zero, jnp.sin(half)), ends[1])
+    w, x, y, z = product(ends[0] * np.array([1.0, -1.0, -1.0, -1.0], psi.dtype), turned)
+    a, b = motion.axes.a, motion.axes.b
+    y, z = orbit.signs[0] * y, orbit.signs[1] * z
+    return stack(w, *triple(lambda i, j, k: jnp.where(a == i, x, jnp.where(b == i, y, z))))
+

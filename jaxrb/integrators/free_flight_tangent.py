@@ -62,13 +62,14 @@ class ClockVariation(NamedTuple):
 def integral_lanes(clock: Clock) -> Lanes:
     """Arguments of Carlson's R_D for `Integrals`."""
     one, c2, d2, m1 = jnp.ones_like(clock.m), clock.cn * clock.cn, clock.dn * clock.dn, clock.complement
-    return Lanes([c2, c2, jnp.zeros_like(one)], [d2, one, one], [one, d2, m1], [one, d2, m1])
+    last = stack(one, d2, m1)
+    return Lanes(stack(c2, c2, jnp.zeros_like(one)), stack(d2, one, one), last, last)
 
 
 def tangent_of(
     motion: Motion,
     wxyz: jax.Array,
-    third: list[Scalar],
+    third: jax.Array,
     omega: Vector,
     moments: Vector,
     products: Vector,
@@ -76,7 +77,7 @@ def tangent_of(
 ) -> tuple[jax.Array, Vector]:
     """Variations of the rotation wxyz (4,) and of ω then (3,), from those of ω, moments, products of inertia and time.
 
-    `third` is R_D of the lanes above.
+    `third` is R_D (3,) of the lanes above.
     """
     cube = motion.clock.sine**3 / 3.0
     integrals = Integrals(cube * third[0], cube * third[1], third[2] / 3.0)
