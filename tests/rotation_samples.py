@@ -11,6 +11,8 @@ from jaxrb.math.euler_angles import SEQUENCES
 REPRESENTATIONS = {"Quaternion": (Quaternion, ""), "RotationMatrix": (RotationMatrix, "")} | {
     f"EulerAngles-{sequence}": (EulerAngles, sequence) for sequence in SEQUENCES
 }
+# For programs that run once: their compile time is what the tests cost.
+QUICK = {"xla_backend_optimization_level": 0}
 GROUPS = (Quaternion, RotationMatrix)  # the two whose product is a product of their numbers
 
 

@@ -27,7 +27,7 @@ def state(scene):
 
 
 GOOD = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-MIRROR = np.diag([1.0, 1.0, -1.0])
+MIRROR = [[1.0, 0, 0], [0, 1.0, 0], [0, 0, -1.0]]
 STATES = {
     "NaN position [1]": ({"position": [GOOD[0], [0, np.nan, 1]]}, InvalidInput, r"state\.position of body 1 is .*nan.* m, but must be finite"),
     "infinite position [2]": ({"position": (0, 0, np.inf)}, InvalidInput, r"state\.position is .*inf.* m.*finite"),
@@ -35,14 +35,14 @@ STATES = {
     "zero quaternion [4]": ({"orientation": (0, 0, 0, 0)}, InvalidInput, r"state\.orientation.*norm.*by 1:.*\[0\.0, 0\.0, 0\.0, 0\.0\].*normalise"),
     "long quaternion of body 1 [6]": ({"orientation": [[1, 0, 0, 0], [1.1, 0, 0, 0]]}, InvalidInput, r"of body 1: the norm.*by 0\.1.*1\.1.*normalise"),
     "skew matrix [8]": ({"orientation": [[1, 0.1, 0], [0, 1, 0], [0, 0, 1]]}, InvalidInput, r"RᵀR differs from 1 by 0\.1.*no rotation"),
-    "reflection [9]": ({"orientation": np.stack([np.eye(3), MIRROR])}, InvalidInput, "determinant of the matrix of body 1 is negative.*reflection.*sign of one axis"),
+    "reflection [9]": ({"orientation": [np.eye(3).tolist(), MIRROR]}, InvalidInput, "determinant of the matrix of body 1 is negative.*reflection.*sign of one axis"),
     "NaN velocity [10]": ({"velocity": (np.nan, 0, 0)}, InvalidInput, r"state\.velocity is .*nan.* m/s"),
     "NaN spin [10]": ({"angular_velocity": [(0, 0, 0), (0, np.nan, 0)]}, InvalidInput, r"state\.angular_velocity of body 1 is .*nan.* rad/s"),
     "too large for float32 [14]": ({"position": (1e39, 0, 0), "dtype": np.float32}, InvalidInput, r"state\.position is .*1e\+39.* m, too large for float32.*float64 or larger units"),
-    "wrong number of bodies [15]": ({"position": np.zeros((3, 3))}, WrongStructure, r"state\.position: shape \(3, 3\); give \(2, 3\), or \(3,\)"),
+    "wrong number of bodies [15]": ({"position": [GOOD[0]] * 3}, WrongStructure, r"state\.position: shape \(3, 3\); give \(2, 3\), or \(3,\)"),
     "wrong number of components [15]": ({"velocity": (1.0, 2.0)}, WrongStructure, r"state\.velocity: shape \(2,\)"),
     "three numbers for a quaternion [15]": ({"orientation": (0, 0, 1)}, WrongStructure, r"state\.orientation: shape \(3,\).*wxyz"),
-    "wrong number of orientations [15]": ({"orientation": np.tile([1.0, 0, 0, 0], (5, 1))}, WrongStructure, r"shape \(5, 4\) for 2 bodies"),
+    "wrong number of orientations [15]": ({"orientation": [[1.0, 0, 0, 0]] * 5}, WrongStructure, r"shape \(5, 4\) for 2 bodies"),
     "words": ({"position": "here"}, InvalidInput, r"state\.position: 'here' is not a real number"),
     "complex numbers": ({"velocity": (1j, 0, 0)}, InvalidInput, "is not a real number"),
     "ragged rows": ({"position": [[0, 0, 0], [0, 0]]}, InvalidInput, "is not a real number"),
@@ -65,10 +65,10 @@ def test_nearly_unit_orientation_is_normalised_with_a_warning(scene, body):
     wxyz = np.tile([0.6, 0.0, 0.8, 0.0], (2, 1))
     wxyz[body] *= 1.0005
     with pytest.warns(JaxrbWarning, match=f"of body {body}: the norm.*by 0.0005; it was normalised"):
-        found = scene.state(orientation=wxyz)
+        found = scene.state(orientation=wxyz.tolist())
     assert np.linalg.norm(found.orientation.wxyz, axis=-1) == pytest.approx(1.0, abs=3e-7)
     with pytest.warns(JaxrbWarning, match="RᵀR differs from 1 by 0.0004; it was normalised"):
-        found = scene.state(orientation=1.0002 * np.eye(3), rotation=rb.RotationMatrix)
+        found = scene.state(orientation=(1.0002 * np.eye(3)).tolist(), rotation=rb.RotationMatrix)
     assert np.asarray(found.orientation.matrix[0]) == pytest.approx(np.eye(3), abs=3e-7)
 
 

@@ -211,6 +211,10 @@ class InertiaSolver(eqx.Module):
         """ω̇ [rad/s²]; None stands for a torque, or an acceleration, that is zero by type."""
         raise NotImplementedError
 
+    def response(self, torque: Vector) -> Vector:
+        """I⁻¹ τ [rad/s²]: the acceleration that a torque alone would give."""
+        raise NotImplementedError
+
     def implicit_velocity(
         self, start: Vector, guess: Vector, torque: Vector | None, span: Scalar, sweeps: int
     ) -> Vector:
@@ -247,8 +251,9 @@ class SphericalSolver(InertiaSolver):
     inverse: Scalar
 
     def acceleration(self, angular_velocity: Vector, torque: Vector | None) -> Vector | None:
-        if torque is None:
-            return None
+        return None if torque is None else self.response(torque)
+
+    def response(self, torque: Vector) -> Vector:
         return stack(*(self.inverse * t for t in components(torque)))
 
     def implicit_velocity(self, start, guess, torque, span, sweeps):
@@ -273,6 +278,9 @@ class PrincipalSolver(InertiaSolver):
         return stack(
             *(f + i * t for f, i, t in zip(free, components(self.inverse), components(torque), strict=True))
         )
+
+    def response(self, torque: Vector) -> Vector:
+        return stack(*(i * t for i, t in zip(components(self.inverse), components(torque), strict=True)))
 
     def implicit_velocity(self, start, guess, torque, span, sweeps):
         # The same Newton steps without the products by zero of the general matrix: a third of the time.
@@ -301,4 +309,7 @@ class FullSolver(InertiaSolver):
 
     def acceleration(self, angular_velocity: Vector, torque: Vector | None) -> Vector:
         net = cross(self.inertia.apply(angular_velocity), angular_velocity)
-        return symmetric_apply(self.inverse, net if torque is None else net + torque)
+        return self.response(net if torque is None else net + torque)
+
+    def response(self, torque: Vector) -> Vector:
+        return symmetric_apply(self.inverse, torque)

@@ -16,8 +16,8 @@ from jaxrb.integrators.free_flight_attitude import angle, angle_lanes, attitude,
 from jaxrb.integrators.free_flight_motion import Motion, Triple, motion_of
 from jaxrb.integrators.free_flight_tangent import integral_lanes, tangent_of
 from jaxrb.integrators.principal_frame import principal_frame
-from jaxrb.math.elliptic import carlson
 from jaxrb.math.arrays import Scalar, Vector, components, stack
+from jaxrb.math.elliptic import carlson
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.math.vector import matvec
 
@@ -83,7 +83,7 @@ def _rotation_jvp(primals: Any, tangents: Any) -> Any:
 
 def _units(omega: Vector, moments: Vector) -> tuple[Scalar, Scalar]:
     """Powers of two near the largest moment and near |Iω| over it: dividing by them rounds nothing, and keeps the
-    products of float32 in range."""
+    products of float32 in range. A body that hardly turns has the least unit whose cube is a normal number."""
     kind = jnp.finfo(moments.dtype)
 
     def power(x: Scalar) -> Scalar:
@@ -91,7 +91,7 @@ def _units(omega: Vector, moments: Vector) -> tuple[Scalar, Scalar]:
 
     inertia = power(jnp.max(moments))
     spin = jnp.max(jnp.abs(moments / inertia * omega))
-    return inertia, power(jnp.where(spin > 0, spin, 1.0))
+    return inertia, power(jnp.maximum(spin, float(kind.tiny) ** (1.0 / 3.0)))
 
 
 def _moved(units: tuple[Scalar, Scalar], omega: Vector, moments: Vector, time: Scalar) -> Motion:

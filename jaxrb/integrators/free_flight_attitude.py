@@ -44,7 +44,7 @@ class Orbit(NamedTuple):
     momentum: tuple[jax.Array, jax.Array, jax.Array]
     sine: jax.Array
     cosine: jax.Array
-    inner: Scalar
+    inner: jax.Array
     nu: Scalar
     weight: Scalar
     turn: tuple[jax.Array, jax.Array]
@@ -78,11 +78,13 @@ def orbit_of(motion: Motion) -> Orbit:
     nu = jnp.where(inner, lesser, outer)
     weight = jnp.where(nu == 0, 0.0, nu * jnp.sqrt(divided(ib * ac, ia * bc, 1.0) * (1.0 + lesser)))
     turn = _position_angle(clock, sine, cosine, inner, nu, jnp.sqrt(ia * bc), jnp.sqrt(ib * ac))
-    return Orbit((x, y, z), sine, cosine, inner, nu, weight, turn, (along_b, end), jnp.where(inner, sense, -sense))
+    return Orbit(
+        (x, y, z), sine, cosine, inner, nu, weight, turn, (along_b, end), jnp.where(inner, sense, -sense)
+    )
 
 
 def _position_angle(
-    clock: Clock, s: jax.Array, c: jax.Array, inner: Scalar, nu: Scalar, ka: Scalar, kb: Scalar
+    clock: Clock, s: jax.Array, c: jax.Array, inner: jax.Array, nu: Scalar, ka: Scalar, kb: Scalar
 ) -> tuple[jax.Array, jax.Array]:
     """cos α/2 and sin α/2, with α in [−π/2, π/2]: for ν' the difference of two amplitudes, for ν an amplitude."""
     stretch, width = jnp.sqrt(1.0 + nu), jnp.sqrt(clock.complement + clock.m * c * c)
@@ -149,4 +151,3 @@ def attitude(motion: Motion, orbit: Orbit, psi: Scalar) -> jax.Array:
     a, b = motion.axes.a, motion.axes.b
     y, z = orbit.signs[0] * y, orbit.signs[1] * z
     return stack(w, *triple(lambda i, j, k: jnp.where(a == i, x, jnp.where(b == i, y, z))))
-

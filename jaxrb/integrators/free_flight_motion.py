@@ -19,6 +19,7 @@ and S, C_a, C_b, C_c = sn(λt)/λ, dn, 1, cn with λ² = e_c − e_b, m λ² = e
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from jaxrb.math.arrays import Scalar
@@ -30,9 +31,9 @@ Triple = tuple[Scalar, Scalar, Scalar]
 class Axes(NamedTuple):
     """Indices of the roles a, b, c, and whether (a, b, c) is cyclic (+1) or not (−1)."""
 
-    a: Scalar
-    b: Scalar
-    c: Scalar
+    a: jax.Array
+    b: jax.Array
+    c: jax.Array
     parity: Scalar
 
 
@@ -50,7 +51,7 @@ class Clock(NamedTuple):
     complement: Scalar
     rate: Scalar
     chain: Landen
-    separatrix: Scalar
+    separatrix: jax.Array
     halves: Scalar
     remainder: Scalar
     beyond: Scalar
@@ -80,7 +81,7 @@ class Motion(NamedTuple):
     omega_then: Triple
 
 
-def pick(index: Scalar, values: Triple) -> Scalar:
+def pick(index: jax.Array, values: Triple) -> Scalar:
     """The value at an index that is known only when the program runs."""
     return jnp.where(index == 0, values[0], jnp.where(index == 1, values[1], values[2]))
 
@@ -129,6 +130,9 @@ def clock_of(axes: Axes, momentum: Triple, g: Triple, time: Scalar) -> Clock:
     chain = landen(complement)
     # Exactly on the separatrix the period is infinite. At half of the quarter period that stands for it, the momentum
     # is within √least of the middle axis, and stays.
+    # |S| ≤ |t|: the bound keeps its cube finite, and is beyond the time after which the phase is all round-off.
+    bound = float(jnp.finfo(span.dtype).max) ** 0.25
+    time = jnp.clip(time, -bound, bound)
     whole = rate * time
     separatrix = (gap <= 0) & (span > 0)
     limit = jnp.where(separatrix, 0.5 * chain.quarter, jnp.inf)

@@ -95,7 +95,7 @@ def tangent_of(
 def _variation(
     motion: Motion, omega: list[Scalar], moments: list[Scalar], products: list[Scalar]
 ) -> Variation:
-    inverse, w, l = triple(lambda i, j, k: 1.0 / motion.moments[i]), motion.omega, motion.momentum
+    inverse, w, L = triple(lambda i, j, k: 1.0 / motion.moments[i]), motion.omega, motion.momentum
     turned = triple(lambda i, j, k: moments[i] * w[i] + products[k] * w[j] + products[j] * w[k])
     momentum = triple(lambda i, j, k: motion.moments[i] * omega[i] + turned[i])
     energy = triple(lambda i, j, k: w[i] * (momentum[i] - 0.5 * turned[i]))
@@ -108,7 +108,7 @@ def _variation(
         energy[0] + energy[1] + energy[2],
         inverse,
         # As the difference L² J_k − 2T it would cancel.
-        triple(lambda k, i, j: motion.g[i] * l[j] ** 2 - motion.g[j] * l[i] ** 2),
+        triple(lambda k, i, j: motion.g[i] * L[j] ** 2 - motion.g[j] * L[i] ** 2),
         triple(lambda i, j, k: diagonal[k] - diagonal[j]),
     )
 
@@ -120,18 +120,17 @@ def _varied_j(v: Variation, x: Triple) -> Vector:
 
 def _clock_variation(motion: Motion, v: Variation, integrals: Integrals) -> ClockVariation:
     """From the variations of e_c − e_b and e_a − e_b; δam = −½ Δ δm ∫ sin²/Δ³ dφ at fixed u."""
-    g, l, dl, dg, h, axes, clock = motion.g, motion.momentum, v.momentum, v.dg, v.h, motion.axes, motion.clock
-    pairs = triple(lambda k, i, j: v.others[k] * l[i] * l[j])
+    g, L, dL, dg, h, axes, clock = motion.g, motion.momentum, v.momentum, v.dg, v.h, motion.axes, motion.clock
+    pairs = triple(lambda k, i, j: v.others[k] * L[i] * L[j])
     mixed = 2.0 * (pairs[0] + pairs[1] + pairs[2])
     dh = triple(
         lambda k, i, j: (
-            2.0 * (g[i] * l[j] * dl[j] - g[j] * l[i] * dl[i]) + dg[i] * l[j] ** 2 - dg[j] * l[i] ** 2 - mixed
+            2.0 * (g[i] * L[j] * dL[j] - g[j] * L[i] * dL[i]) + dg[i] * L[j] ** 2 - dg[j] * L[i] ** 2 - mixed
         )
     )
     change = triple(lambda k, i, j: -axes.parity * (dg[k] * h[k] + g[k] * dh[k]))
     span, spread = pick(axes.a, change), -pick(axes.c, change)
-    # −(1 − m)² δ(m/(1 − m))-like: e_c − e_a and its variation are small near the separatrix, and would be lost in the
-    # difference of the two others.
+    # e_c − e_a and its variation are small near the separatrix, and would be lost in the difference of the two others.
     narrow = clock.complement * span + pick(axes.b, change)
     s, c, d, time = clock.sine, clock.cn, clock.dn, clock.remainder
     along = 0.5 * (time * span - clock.span * narrow * integrals.over_a)  # λ δam / Δ
@@ -152,30 +151,30 @@ def _clock_variation(motion: Motion, v: Variation, integrals: Integrals) -> Cloc
 
 def _momentum_variation(motion: Motion, v: Variation, varied: ClockVariation) -> Triple:
     """δL of the addition theorem at fixed time left, before the flip."""
-    g, w, l, dl, clock = motion.g, motion.omega, motion.momentum, v.momentum, motion.clock
+    g, w, L, dL, clock = motion.g, motion.omega, motion.momentum, v.momentum, motion.clock
     s, c, ds, dc = clock.sine, clock.cosines, varied.sine, varied.cosines
-    tilted = components(_varied_j(v, l))
-    dw = triple(lambda i, j, k: v.inverse[i] * dl[i] + tilted[i])
-    rate = triple(lambda i, j, k: g[i] * l[j] * l[k])  # L × JL
-    drate = triple(lambda i, j, k: (dl[j] * w[k] - dl[k] * w[j]) + (l[j] * dw[k] - l[k] * dw[j]))
+    tilted = components(_varied_j(v, L))
+    dw = triple(lambda i, j, k: v.inverse[i] * dL[i] + tilted[i])
+    rate = triple(lambda i, j, k: g[i] * L[j] * L[k])  # L × JL
+    drate = triple(lambda i, j, k: (dL[j] * w[k] - dL[k] * w[j]) + (L[j] * dw[k] - L[k] * dw[j]))
     # Off-diagonal entries of the matrices C and cof C.
     mixed_c = triple(lambda k, i, j: divided(s * s * v.h[k] * v.others[k], c[i] + c[j]))
     mixed_x = triple(lambda k, i, j: -c[k] * mixed_c[k])
     numerator = triple(
         lambda i, j, k: (
-            c[j] * c[k] * dl[i]
-            + (c[j] * dc[k] + c[k] * dc[j]) * l[i]
-            + (mixed_x[k] * l[j] + mixed_x[j] * l[k])
+            c[j] * c[k] * dL[i]
+            + (c[j] * dc[k] + c[k] * dc[j]) * L[i]
+            + (mixed_x[k] * L[j] + mixed_x[j] * L[k])
             + s * (dc[i] * rate[i] + mixed_c[k] * rate[j] + mixed_c[j] * rate[k] + c[i] * drate[i])
             + ds * c[i] * rate[i]
         )
     )
     # D = C_a² − y_a² S² with y_a² = g_b g_c L_a².
-    square = triple(lambda i, j, k: g[j] * g[k] * l[i] ** 2)
+    square = triple(lambda i, j, k: g[j] * g[k] * L[i] ** 2)
     dsquare = triple(
         lambda i, j, k: (
-            (v.dg[j] * g[k] + g[j] * v.dg[k]) * l[i] ** 2
-            + 2.0 * l[i] * (g[j] * g[k] * dl[i] + g[k] * l[k] * v.others[j] - g[j] * l[j] * v.others[k])
+            (v.dg[j] * g[k] + g[j] * v.dg[k]) * L[i] ** 2
+            + 2.0 * L[i] * (g[j] * g[k] * dL[i] + g[k] * L[k] * v.others[j] - g[j] * L[j] * v.others[k])
         )
     )
     a = motion.axes.a
@@ -204,22 +203,22 @@ def _flipped(
 
 def _action(motion: Motion, v: Variation, integrals: Integrals) -> Scalar:
     """½ ∫ L·δJ L ds over the whole time, from the six ∫ L_i L_j ds."""
-    l, g, clock, axes = motion.momentum, motion.g, motion.clock, motion.axes
+    L, g, clock, axes = motion.momentum, motion.g, motion.clock, motion.axes
     c, s, b = clock.cosines, clock.sine, axes.b
     # ∫ L_b² ds by the addition theorem of the integral of the second kind; the two other squares by the invariants.
     half = divided(
         2.0 * (clock.chain.quarter - clock.complement * integrals.quarter), clock.span * clock.rate
     )
     passed = integrals.plain + clock.halves * jnp.where(clock.halves == 0, 0.0, half)
-    middle = jnp.abs(pick(axes.a, v.h) * pick(axes.c, v.h)) * passed + s * pick(b, l) * pick(b, motion.base)
-    excess = divided(middle - pick(b, l) ** 2 * motion.time, pick(b, g))
-    squares = triple(lambda i, j, k: l[i] ** 2 * motion.time + g[i] * excess)
+    middle = jnp.abs(pick(axes.a, v.h) * pick(axes.c, v.h)) * passed + s * pick(b, L) * pick(b, motion.base)
+    excess = divided(middle - pick(b, L) ** 2 * motion.time, pick(b, g))
+    squares = triple(lambda i, j, k: L[i] ** 2 * motion.time + g[i] * excess)
 
     def mixed(k: int, i: int, j: int) -> Scalar:
         # (L_k(t) − L_k)/g_k, divided out.
-        ratio = divided(c[i] * g[i] * l[j] ** 2 + c[j] * g[j] * l[i] ** 2, c[i] + c[j])
-        left = (l[i] * l[j] * s * c[k] + l[k] * s * s * ratio) / motion.denominator
-        return clock.flip[k] * left + (clock.flip[k] - 1.0) * divided(l[k], g[k])
+        ratio = divided(c[i] * g[i] * L[j] ** 2 + c[j] * g[j] * L[i] ** 2, c[i] + c[j])
+        left = (L[i] * L[j] * s * c[k] + L[k] * s * s * ratio) / motion.denominator
+        return clock.flip[k] * left + (clock.flip[k] - 1.0) * divided(L[k], g[k])
 
     terms = triple(lambda k, i, j: 0.5 * v.diagonal[k] * squares[k] + v.others[k] * mixed(k, i, j))
     return terms[0] + terms[1] + terms[2]

@@ -98,8 +98,8 @@ def carlson(x: Scalar, y: Scalar, z: Scalar, p: Scalar) -> tuple[Scalar, Scalar]
 
     For 0 ≤ x, y ≤ p, of which one may be 0, and 0 < z ≤ p ≤ 2z. (Carlson 1995, Numer. Algorithms 10, 13.) The sum in
     R_J is taken with R_C(1, 1 + e) = arctan(√e)/√e in full in every term, as in Carlson 1979, Numer. Math. 33, 1: for
-    small x and y its argument stays as it is for several rounds. With p ≤ 2z it is at most ((√2 − 1)/(√2 + 1)) = 0.1716,
-    and a polynomial serves; XLA's arctangent would be three quarters of the whole cost.
+    small x and y its argument stays as it is for several rounds. With p ≤ 2z e is at most (√2 − 1)/(√2 + 1), and a
+    polynomial serves; XLA's arctangent would be three quarters of the whole cost.
     """
     product = (p - x) * (p - y) * (p - z)
 
@@ -115,7 +115,9 @@ def carlson(x: Scalar, y: Scalar, z: Scalar, p: Scalar) -> tuple[Scalar, Scalar]
         return (*(0.25 * (v + shift) for v in (x, y, z, p)), total + part * circular, 0.25 * scale)
 
     start = (x, y, z, p, jnp.zeros_like(x), jnp.ones((), x.dtype))
-    end_x, end_y, end_z, end_p, total, scale = lax.fori_loop(0, 14 if _double(x.dtype) else 10, duplicate, start)
+    end_x, end_y, end_z, end_p, total, scale = lax.fori_loop(
+        0, 14 if _double(x.dtype) else 10, duplicate, start
+    )
     first = _first_kind(x, y, (x + y + z) / 3.0, (end_x + end_y + end_z) / 3.0, scale)
     last = (end_x + end_y + end_z + 2.0 * end_p) / 5.0
     return first, _third_kind(x, y, z, (x + y + z + 2.0 * p) / 5.0, last, scale) + 6.0 * total

@@ -19,6 +19,14 @@ def cross(a: Vector, b: Vector) -> Vector:
     return stack(a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1)
 
 
+def rate_in_world(rate_in_body: Vector, angular_velocity: Vector, vector: Vector) -> Vector:
+    """Rate of change of a vector seen from the world, (ḃ)_O = (ḃ)_O' + ω × b', all three in body components (..., 3).
+
+    `rate_in_body` is the rate of its components in the rotating frame.
+    """
+    return rate_in_body + cross(angular_velocity, vector)
+
+
 def hat(v: Vector) -> Matrix:
     """The star operator: the skew matrix v* with v* b = v × b (also called hat)."""
     v1, v2, v3 = components(v)

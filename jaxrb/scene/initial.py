@@ -60,7 +60,7 @@ def _dtype(given: list[Any], dtype: Any) -> Any:
         return jax.dtypes.canonicalize_dtype(wanted)
     kinds = []
     for leaf in given:
-        if not hasattr(leaf, "dtype"):
+        if not hasattr(leaf, "dtype") or isinstance(leaf, np.generic):  # a single number, as in a list
             continue
         if leaf.dtype.kind in "iu":
             warn(f"state: an array of {leaf.dtype} was given; its numbers are used as floating numbers")

@@ -6,6 +6,7 @@ import jax
 from jaxrb.body.state import State
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.rotation import Drift
+from jaxrb.scene.certificate import Certificate
 from jaxrb.scene.scene import Scene, angular_momentum, energy, momentum
 from jaxrb.scene.status import Status
 
@@ -24,13 +25,17 @@ class Diagnostics(eqx.Module):
 
 
 class Path(eqx.Module):
-    """A run: `times` (k,) [s], the saved `states` (leading axis k), the `final` state and the `status`."""
+    """A run: `times` (k,) [s], the saved `states` (leading axis k), the `final` state and the `status`.
+
+    `certificate` holds the estimated errors of a run that was asked to `certify`.
+    """
 
     times: Array
     states: State
     final: State
     status: Status
     scene: Scene
+    certificate: Certificate | None = None
 
     @property
     def diagnostics(self) -> Diagnostics:

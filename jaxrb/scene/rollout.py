@@ -13,6 +13,7 @@ from jaxrb.integrators.method import Method
 from jaxrb.integrators.names import method_of
 from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.math.arrays import Scalar, Vector
+from jaxrb.scene.certificate import certificate_of
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene, check_fit
 from jaxrb.scene.settings import (
@@ -24,6 +25,7 @@ from jaxrb.scene.settings import (
     check_positive,
     check_representation,
     check_saved_bytes,
+    check_tolerance,
     warn_of_coarse_steps,
 )
 from jaxrb.scene.status import Status, sound, status_after
@@ -38,6 +40,8 @@ def rollout(
     method: Method | str = RungeKutta4(),  # noqa: B008 - an immutable value
     torque: Any = None,
     save_every: int = 1,
+    certify: bool = False,
+    tolerance: float | None = None,
     on_error: str = "raise",
     max_bytes: int = DEFAULT_MAX_BYTES,
 ) -> Path:
@@ -47,6 +51,8 @@ def rollout(
         scene, state: as for `step`.
         torque: applied body torque [N m]: (n, 3) throughout, or (steps, n, 3), one a step.
         save_every: `states` holds steps 0, k, 2k, …; `final` is always the very last state.
+        certify: estimate the run's own error, for three quarters of its cost more: `path.certificate`.
+        tolerance: the error [rad and m] that the certificate is to compare with; implies `certify`.
         on_error: "raise" `RunFailed` when a state leaves the finite numbers, or "flag" it in `path.status`. Inside
             `jit`, `vmap` or `grad` nothing can be raised: call `path.raise_if_bad()` outside.
         max_bytes: refuse to start if the saved states would need more.
@@ -68,7 +74,14 @@ def rollout(
     times, states, final, status = _run(
         scene, state, torque, jnp.asarray(dt, state.dtype), method, steps=steps, save_every=save_every
     )
-    path = Path(times, states, final, status, scene)
+    certificate = None
+    if certify or tolerance is not None:
+        if tolerance is not None:
+            check_tolerance("tolerance", tolerance)
+        certificate = certificate_of(
+            scene, states, torque, jnp.asarray(dt, state.dtype), method, steps, save_every, tolerance
+        )
+    path = Path(times, states, final, status, scene, certificate)
     if on_error == "raise":
         path.raise_if_bad()
     return path

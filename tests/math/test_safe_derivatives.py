@@ -10,16 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from rotation_samples import GROUPS, largest, numbers, unit_vectors
+from rotation_samples import GROUPS, QUICK, largest, numbers, unit_vectors
 
 from jaxrb import EulerAngles, Quaternion, RotationMatrix, hat, slerp
 from jaxrb.math import safe
 
 EYE = np.eye(3)
-
-
-# Little optimisation: these programs run once, and their compile time is what the tests cost.
-QUICK = {"xla_backend_optimization_level": 0}
 
 
 def derivatives(function, points):
