@@ -1,4 +1,4 @@
-"""The command line: `jaxrb demo | fit | bench`."""
+"""The command line: `jaxrb demo | work-precision | plan | scoreboard | fit | bench`."""
 
 import json as json_text
 import sys
@@ -59,7 +59,20 @@ def _fit_command() -> Any:
     return fit
 
 
-COMMANDS = {"demo": lambda: demo, "fit": _fit_command, "bench": lambda: bench}
+def _command(name: str) -> Any:
+    from jaxrb.bench import commands
+
+    return getattr(commands, name)
+
+
+COMMANDS = {
+    "demo": lambda: demo,
+    "work-precision": lambda: _command("work_precision"),
+    "plan": lambda: _command("plan"),
+    "scoreboard": lambda: _command("scoreboard"),
+    "fit": _fit_command,
+    "bench": lambda: bench,
+}
 
 
 def main(arguments: list[str] | None = None) -> None:

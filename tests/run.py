@@ -23,7 +23,14 @@ def main() -> int:
     code = 0
     for run in RUNS:
         print(*(f"{key}={value}" for key, value in run.items()), flush=True)
-        command = [str(pytest), "-n", str(os.cpu_count() or 1), "--dist=loadgroup", "--durations=10", *sys.argv[1:]]
+        command = [
+            str(pytest),
+            "-n",
+            str(os.cpu_count() or 1),
+            "--dist=loadgroup",
+            "--durations=10",
+            *sys.argv[1:],
+        ]
         code = subprocess.run(command, cwd=ROOT, env={**os.environ, **run}, check=False).returncode or code
     return code
 

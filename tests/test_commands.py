@@ -14,7 +14,8 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 JAXRB = pathlib.Path(sys.executable).with_name("jaxrb")
 
 pytestmark = pytest.mark.skipif(
-    not jax.config.read("jax_enable_x64"), reason="commands choose their own precision: run once, with the float64 suite"
+    not jax.config.read("jax_enable_x64"),
+    reason="commands choose their own precision: run once, with the float64 suite",
 )
 
 
@@ -55,7 +56,10 @@ def test_demo_shows_the_drift_of_the_lecture(demonstration):
         assert 0.01 < quaternion["scale_error"] < matrix["scale_error"]
         assert row("quaternion", True, torque)["scale_error"] < 1e-15
         assert row("rotation matrix", True, torque)["skew"] < 1e-5
-    assert row("quaternion", True, True)["attitude_error_rad"] > row("quaternion", True, False)["attitude_error_rad"]
+    assert (
+        row("quaternion", True, True)["attitude_error_rad"]
+        > row("quaternion", True, False)["attitude_error_rad"]
+    )
 
 
 @pytest.mark.xdist_group("demo")

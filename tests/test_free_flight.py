@@ -11,40 +11,12 @@ import numpy as np
 import pytest
 
 import jaxrb as rb
+from jaxrb.bench.free_flight import DZHANIBEKOV, LONG
 from jaxrb.integrators.free_flight import free_rotation, principal_rotation
 from jaxrb.math.elliptic import carlson, landen, sine_cosine, smallest_complement
 from jaxrb.scene.flight import free_flight
 
 TORQUE_FREE = ["dzhanibekov", "generic_asym", "near_symmetric", "slender", "sphere", "symmetric_disc"]
-
-# After 1000 revolutions and more: ω, t [s], wxyz by `exact_rotation.rotated`; the body is dzhanibekov's, (1, 2, 3).
-LONG = [
-    (
-        (0.001, 1.0, 0.001),
-        6284.0,
-        (0.9168653833983543, -0.00938054029878412, 0.3990848546432911, -0.001073770848347158),
-    ),
-    (
-        (0.001, 1.0, 0.001),
-        6283.185307179586,
-        (0.9999775014749659, -0.004809455735304094, 0.003194648026926109, -0.00341466007075716),
-    ),
-    (
-        (0.001, 1.0, -0.002),
-        6284.0,
-        (-0.1052842688742924, 0.02505023097709539, -0.992423874250145, 0.05815980118546096),
-    ),
-    (
-        (0.3, 0.9, 0.2),
-        6284.0,
-        (0.9172685613449694, -0.2318264463224835, 0.006770101121632808, -0.3237731472565655),
-    ),
-    (
-        (0.1, 1.0, 0.0),
-        5000.0,
-        (0.6034731378318209, 0.03761057820634876, 0.7964898739558076, 0.003081721639259684),
-    ),
-]
 
 # Where textbook formulas divide zero by zero: ω, moments, t.
 DEGENERATE = {
@@ -116,7 +88,7 @@ def test_oracle(name, oracle, flown, dtype):
 def test_a_thousand_revolutions_of_dzhanibekov(flown, dtype):
     if dtype != jnp.float64:
         pytest.skip("6284 rad times the round-off of float32 is no attitude")
-    values, _ = flown([row(omega, (1, 2, 3), t) for omega, t, _ in LONG])
+    values, _ = flown([row(omega, DZHANIBEKOV, t) for omega, t, _ in LONG])
     errors = [rb.attitude_error(value[:4], np.array(end)) for value, (_, _, end) in zip(values, LONG)]
     assert max(errors) <= 1e-12
 
@@ -314,7 +286,7 @@ def test_reverse_gradient_through_a_scene(brick, tolerance):
     reverse = jax.grad(lambda p: loss(*eqx.combine(p, rest)))(parameters)
     assert float(reverse[1].velocity[0, 2]) == pytest.approx(3.0)
     total = sum(float(jnp.sum(leaf)) for leaf in jax.tree.leaves(reverse))
-    h = tolerance(float64=1e-5, float32=1e-2)
+    h = tolerance(float64=1e-5, float32=3e-4)
     ends = [loss(*eqx.combine(jax.tree.map(lambda x, s=s: x + s * h, parameters), rest)) for s in (1, -1)]
     assert total == pytest.approx(
         float(ends[0] - ends[1]) / (2 * h), rel=tolerance(float64=1e-8, float32=1e-2)

@@ -19,7 +19,9 @@ from jaxrb.scene.flight import free_flight
 from jaxrb.scene.scene import Scene, energy
 from jaxrb.scene.solve import solve
 
-FINEST = 2**19  # steps of the Runge–Kutta check: beyond, round-off of the sum outweighs what a finer step gains
+FINEST = (
+    2**19
+)  # steps of the Runge–Kutta check: beyond, round-off of the sum outweighs what a finer step gains
 AGREED = 1e-14
 
 
@@ -81,10 +83,12 @@ def reference(scene: Scene, state: State, duration: float) -> Reference:
         steps, difference = _checked(scene, start, duration, answer)
         if not difference.attitude < 0.1:
             raise RunFailed(
-                f"reference: {how} and Runge–Kutta 4 at {2 * steps} steps differ by {difference.attitude:.2g} rad after "
-                f"{duration:g} s: the motion is too long, too fast or chaotic to know; shorten the duration"
+                f"reference: {how} and Runge–Kutta 4 at {2 * steps} steps differ by {difference.attitude:.2g} rad "
+                f"after {duration:g} s: the motion is too long, too fast or chaotic to know; shorten the duration"
             )
-        return Reference(answer, how, f"RungeKutta4 extrapolated from {steps} and {2 * steps} steps", difference)
+        return Reference(
+            answer, how, f"RungeKutta4 extrapolated from {steps} and {2 * steps} steps", difference
+        )
 
 
 def closed_form(scene: Scene, state: State, duration: float | Scalar) -> State | None:
@@ -109,7 +113,7 @@ def _checked(scene: Scene, start: State, duration: float, answer: State) -> tupl
     coarse, best, at = run(count), Errors(np.inf, np.inf, np.inf), 2048
     while 2 * count <= FINEST:
         fine = run(2 * count)
-        found = errors(scene, _extrapolated(coarse, fine), answer)
+        found = errors(scene, extrapolated(coarse, fine), answer)
         if found.attitude + found.position < best.attitude + best.position:
             best, at = found, count
         elif best.attitude < 1e-6:
@@ -121,10 +125,12 @@ def _checked(scene: Scene, start: State, duration: float, answer: State) -> tupl
 
 
 @jax.jit
-def _extrapolated(coarse: State, fine: State) -> State:
-    """Richardson's extrapolation of a method of order 4."""
+def extrapolated(coarse: State, fine: State) -> State:
+    """Richardson's extrapolation of two runs of a method of order 4, one with twice the steps of the other."""
     mixed = jax.tree.map(lambda c, f: f + (f - c) / 15.0, coarse, fine)
-    return State(mixed.position, mixed.orientation.normalise(), mixed.velocity, mixed.angular_velocity, fine.time)
+    return State(
+        mixed.position, mixed.orientation.normalise(), mixed.velocity, mixed.angular_velocity, fine.time
+    )
 
 
 def errors(scene: Scene, state: State, exact: State) -> Errors:

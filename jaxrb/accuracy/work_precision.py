@@ -78,7 +78,10 @@ class WorkPrecision:
     def as_dict(self) -> dict[str, Any]:
         """Plain data."""
         about = {"scene": self.scene, "bodies": self.bodies, "duration": self.duration}
-        return about | {"reference": self.reference.as_dict(), "points": [point.row() for point in self.points]}
+        return about | {
+            "reference": self.reference.as_dict(),
+            "points": [point.row() for point in self.points],
+        }
 
 
 def cpu_seconds(run: Callable[[], Any], repeats: int = 5) -> float:

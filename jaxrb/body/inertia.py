@@ -211,6 +211,14 @@ class InertiaSolver(eqx.Module):
         """ω̇ [rad/s²]; None stands for a torque, or an acceleration, that is zero by type."""
         raise NotImplementedError
 
+    def without(self, momentum: Vector) -> Vector:
+        """ω of an angular momentum Iω in the body frame, rounded so that there and back has no bias where it can."""
+        return self.response(momentum)
+
+    def inverse_invariants(self) -> tuple[Scalar, Scalar, Scalar]:
+        """Trace, sum of principal minors and determinant of I⁻¹."""
+        raise NotImplementedError
+
     def response(self, torque: Vector) -> Vector:
         """I⁻¹ τ [rad/s²]: the acceleration that a torque alone would give."""
         raise NotImplementedError
@@ -282,6 +290,14 @@ class PrincipalSolver(InertiaSolver):
     def response(self, torque: Vector) -> Vector:
         return stack(*(i * t for i, t in zip(components(self.inverse), components(torque), strict=True)))
 
+    def without(self, momentum: Vector) -> Vector:
+        moments = components(self.inertia.moments)
+        return stack(*(m / i for m, i in zip(components(momentum), moments, strict=True)))
+
+    def inverse_invariants(self) -> tuple[Scalar, Scalar, Scalar]:
+        p, q, r = components(self.inverse)
+        return p + q + r, p * q + q * r + r * p, p * q * r
+
     def implicit_velocity(self, start, guess, torque, span, sweeps):
         # The same Newton steps without the products by zero of the general matrix: a third of the time.
         k1, k2, k3 = (span * k for k in components(self.coupling))
@@ -313,3 +329,9 @@ class FullSolver(InertiaSolver):
 
     def response(self, torque: Vector) -> Vector:
         return symmetric_apply(self.inverse, torque)
+
+    def inverse_invariants(self) -> tuple[Scalar, Scalar, Scalar]:
+        xx, yy, zz, xy, xz, yz = components(self.inverse)
+        minor = yy * zz - yz * yz
+        others = xx * yy - xy * xy + (xx * zz - xz * xz)
+        return xx + yy + zz, minor + others, xx * minor - xy * (xy * zz - xz * yz) + xz * (xy * yz - xz * yy)

@@ -2,9 +2,8 @@
 
 Run as `python -m jaxrb.data.make_tumbling_brick`. It is simulated, so the truth is known:
 
-- brick of 200 × 100 × 40 mm, uniform, 700 kg/m³: I/tr(I) = 0.1124, 0.4031, 0.4845 about its own axes, which
-are the
-  body axes (exact: 29, 104, 125 over 258),
+- brick of 200 × 100 × 40 mm, uniform, 700 kg/m³: I/tr(I) = 0.1124, 0.4031, 0.4845 about its own axes, which are
+  the body axes (exact: 29, 104, 125 over 258),
 - ten tosses in free flight, 0.8 s each, sampled at 200 Hz (161 samples); first spins normal with 5 rad/s a
 component,
 - noise of 0.02 rad/s (standard deviation, each component and sample independent), seed 20240229,

@@ -13,7 +13,7 @@ from jax import lax
 from jaxrb.body.inertia import Inertia, PrincipalInertia, SphericalInertia
 from jaxrb.errors import WrongStructure
 from jaxrb.integrators.free_flight_attitude import angle, angle_lanes, attitude, orbit_of
-from jaxrb.integrators.free_flight_motion import Motion, Triple, motion_of
+from jaxrb.integrators.free_flight_motion import Frame, Motion, Triple, frame_of, motion_of
 from jaxrb.integrators.free_flight_tangent import integral_lanes, tangent_of
 from jaxrb.integrators.principal_frame import principal_frame
 from jaxrb.math.arrays import Scalar, Vector, components, stack
@@ -59,26 +59,36 @@ def principal_rotation(
     `products` are the entries yz, xz, xy of the tensor (3,): zero in principal axes, and ignored; only their variations
     count. The derivative is defined at every input, equal moments, pure spin, rest and the separatrix included.
     """
-    units = _units(omega, moments)
-    motion = _moved(units, omega, moments, time)
+    inertia, spin = _units(omega, moments)
+    frame, motion = _moved(omega / spin, moments / inertia, time * spin)
     orbit = orbit_of(motion)
     psi = angle(motion, orbit, *carlson(*angle_lanes(orbit, motion.clock)))
-    return attitude(motion, orbit, psi), stack(*motion.omega_then) * units[1]
+    return _turned_back(frame, attitude(motion, orbit, psi)), spin * stack(*frame.back(motion.omega_then))
 
 
 @principal_rotation.defjvp
 def _rotation_jvp(primals: Any, tangents: Any) -> Any:
     omega, moments, _, time = (_once(primal) for primal in primals)
     domega, dmoments, dproducts, dtime = tangents
-    units = _units(omega, moments)
-    inertia, spin = units
-    motion = _moved(units, omega, moments, time)
+    inertia, spin = _units(omega, moments)
+    frame, motion = _moved(omega / spin, moments / inertia, time * spin)
     orbit = orbit_of(motion)
     first, third = carlson(*angle_lanes(orbit, motion.clock).with_more(integral_lanes(motion.clock)))
     wxyz = attitude(motion, orbit, angle(motion, orbit, first, third))
-    changes = (domega / spin, dmoments / inertia, dproducts / inertia, dtime * spin)
-    dwxyz, dthen = tangent_of(motion, wxyz, third[3:], *changes)
-    return (wxyz, stack(*motion.omega_then) * spin), (dwxyz, dthen * spin)
+    dwxyz, dthen = tangent_of(
+        motion,
+        wxyz,
+        third[3:],
+        frame.seen(_triple(domega / spin)),
+        frame.seen_diagonal(_triple(dmoments / inertia)),
+        frame.seen_others(_triple(dproducts / inertia)),
+        dtime * spin,
+    )
+    then = stack(*frame.back(motion.omega_then))
+    return (_turned_back(frame, wxyz), spin * then), (
+        _turned_back(frame, dwxyz),
+        spin * stack(*frame.back(_triple(dthen))),
+    )
 
 
 def _units(omega: Vector, moments: Vector) -> tuple[Scalar, Scalar]:
@@ -94,9 +104,15 @@ def _units(omega: Vector, moments: Vector) -> tuple[Scalar, Scalar]:
     return inertia, power(jnp.maximum(spin, float(kind.tiny) ** (1.0 / 3.0)))
 
 
-def _moved(units: tuple[Scalar, Scalar], omega: Vector, moments: Vector, time: Scalar) -> Motion:
-    inertia, spin = units
-    return motion_of(_triple(moments / inertia), _triple(omega / spin), time * spin)
+def _moved(omega: Vector, moments: Vector, time: Scalar) -> tuple[Frame, Motion]:
+    frame, seen_moments, seen_omega = frame_of(moments, omega)
+    return frame, motion_of(seen_moments, seen_omega, time)
+
+
+def _turned_back(frame: Frame, wxyz: jax.Array) -> jax.Array:
+    """The rotation in the body's axes."""
+    w, x, y, z = components(wxyz)
+    return stack(w, *frame.back((x, y, z)))
 
 
 def _triple(array: Vector) -> Triple:

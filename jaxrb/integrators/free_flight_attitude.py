@@ -1,6 +1,6 @@
 """The attitude of torque-free rotation: the angle about the momentum, by Carlson's integral of the third kind.
 
-Notation and units as in `free_flight_motion`. With n = L/|L|, e the end of the axis of circulation near which n stays,
+Notation and units as in `free_flight_motion`. With n = L/|L|, e the axis c, near which n stays,
 and p(n) the smallest rotation that takes n to e, the rotation from the body's axes at time t to those at the start is
 p(n₀)⁻¹ · Rot(e, ψ) · p(n), and ψ̇ = (2T + L ω_e)/(L + L_e) > 0.
 
@@ -16,9 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrb.integrators.free_flight_motion import Clock, Motion, divided, pick, triple
+from jaxrb.integrators.free_flight_motion import Clock, Motion, divided
 from jaxrb.math.arrays import Scalar, stack
 from jaxrb.math.quaternion import product
+from jaxrb.math.safe import normalise
 
 
 class Lanes(NamedTuple):
@@ -37,7 +38,7 @@ class Lanes(NamedTuple):
 class Orbit(NamedTuple):
     """The start and the end of the motion on its orbit, arrays (2,), and the splitting of ψ that serves it.
 
-    `momentum` is in the right-handed axes a, ±b, e. `sine` and `cosine` are of the amplitude, turned by π where that
+    `sine` and `cosine` are of the amplitude, turned by π where that
     makes the cosine positive. `inner` tells whether the splitting is the one with ν'.
     """
 
@@ -48,20 +49,14 @@ class Orbit(NamedTuple):
     nu: Scalar
     weight: Scalar
     turn: tuple[jax.Array, jax.Array]
-    signs: tuple[Scalar, Scalar]
     sense: Scalar
 
 
 def orbit_of(motion: Motion) -> Orbit:
     """Where the motion starts and ends on its orbit."""
-    a, b, c, parity = motion.axes
-    clock = motion.clock
-    ia, ib, ic = (pick(i, motion.moments) for i in (a, b, c))
-    first, last = (tuple(pick(i, m) for i in (a, b, c)) for m in (motion.momentum, motion.momentum_then))
-    end = jnp.where(first[2] >= 0, 1.0, -1.0).astype(ia.dtype)
-    along_b, sense = parity * end, jnp.where(ic >= ia, 1.0, -1.0).astype(ia.dtype)
-    x, y, z = (stack(*pair) for pair in zip(first, last, strict=True))
-    y, z = along_b * y, end * z
+    clock, (ia, ib, ic), first = motion.clock, motion.moments, motion.momentum
+    sense = jnp.where(ic >= ia, 1.0, -1.0).astype(ia.dtype)
+    x, y, z = (stack(*pair) for pair in zip(first, motion.momentum_then, strict=True))
     # The amplitude: ω_b and ω_a over their largest values, with the sign that makes it grow in time.
     ab, bc, ac = jnp.abs(ib - ia), jnp.abs(ic - ib), jnp.abs(ic - ia)
     cosine, sine = jnp.sqrt(ac * ib) * x, sense * (jnp.sqrt(bc * ia) * y)
@@ -78,9 +73,7 @@ def orbit_of(motion: Motion) -> Orbit:
     nu = jnp.where(inner, lesser, outer)
     weight = jnp.where(nu == 0, 0.0, nu * jnp.sqrt(divided(ib * ac, ia * bc, 1.0) * (1.0 + lesser)))
     turn = _position_angle(clock, sine, cosine, inner, nu, jnp.sqrt(ia * bc), jnp.sqrt(ib * ac))
-    return Orbit(
-        (x, y, z), sine, cosine, inner, nu, weight, turn, (along_b, end), jnp.where(inner, sense, -sense)
-    )
+    return Orbit((x, y, z), sine, cosine, inner, nu, weight, turn, jnp.where(inner, sense, -sense))
 
 
 def _position_angle(
@@ -128,26 +121,22 @@ def angle(motion: Motion, orbit: Orbit, first: jax.Array, third: jax.Array) -> S
     late = passed - period * extra + clock.rate * clock.beyond
     integral = j[1] - j[0] + turns * (third[2] / 1.5) + late / (1.0 + orbit.nu)
     winding = jnp.where(orbit.inner, 0.0, np.pi * turns)
-    moment = jnp.where(orbit.inner, pick(motion.axes.c, motion.moments), pick(motion.axes.a, motion.moments))
+    moment = jnp.where(orbit.inner, motion.moments[2], motion.moments[0])
     x, y, z = motion.momentum
     rate = jnp.sqrt(x * x + y * y + z * z) / moment
     return rate * motion.time + orbit.sense * (orbit.weight * integral + winding)
 
 
 def attitude(motion: Motion, orbit: Orbit, psi: Scalar) -> jax.Array:
-    """The rotation b₀⁻¹ · Rot(e, ψ) · b₁ as wxyz (4,), where b = Rot(e, ±α) · p(n) at the two ends."""
-    x, y, z = orbit.momentum
-    # p(n) = [|L| + L_e, L × e] over its length.
-    w = jnp.sqrt(x * x + y * y + z * z) + z
-    squared = w * w + x * x + y * y
-    rest = squared == 0
-    inverse = 1.0 / jnp.sqrt(jnp.where(rest, 1.0, squared))
-    w, x, y = jnp.where(rest, 1.0, w * inverse), x * inverse, y * inverse
+    """The rotation b₀⁻¹ · b₁ as wxyz (4,), where b₀ = Rot(e, ±α₀) · p(n₀) and b₁ = Rot(e, ψ ± α₁) · p(n)."""
     c, s = orbit.turn[0], orbit.sense * orbit.turn[1]
+    half = stack(jnp.zeros_like(psi), 0.5 * psi)
+    cosine, sine = jnp.cos(half), jnp.sin(half)
+    c, s = cosine * c - sine * s, sine * c + cosine * s
+    # p(n) = [|L| + L_e, L × e], here not of length one.
+    x, y, z = orbit.momentum
+    size = jnp.sqrt(x * x + y * y + z * z)
+    w = jnp.where(size == 0, 1.0, size + z)
     ends = stack(c * w, c * y + s * x, s * y - c * x, s * w)
-    half, zero = 0.5 * psi, jnp.zeros_like(psi)
-    turned = product(stack(jnp.cos(half), zero, zero, jnp.sin(half)), ends[1])
-    w, x, y, z = product(ends[0] * np.array([1.0, -1.0, -1.0, -1.0], psi.dtype), turned)
-    a, b = motion.axes.a, motion.axes.b
-    y, z = orbit.signs[0] * y, orbit.signs[1] * z
-    return stack(w, *triple(lambda i, j, k: jnp.where(a == i, x, jnp.where(b == i, y, z))))
+    q = product(ends[0] * np.array([1.0, -1.0, -1.0, -1.0], psi.dtype), ends[1])
+    return normalise(q)

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxrb.integrators.free_flight_attitude import Lanes
-from jaxrb.integrators.free_flight_motion import Clock, Motion, Triple, divided, pick, triple
+from jaxrb.integrators.free_flight_motion import Clock, Motion, Triple, divided, triple
 from jaxrb.math.arrays import Scalar, Vector, components, stack
 from jaxrb.math.quaternion import Quaternion, product
 from jaxrb.math.vector import cross, dot
@@ -70,18 +70,20 @@ def tangent_of(
     motion: Motion,
     wxyz: jax.Array,
     third: jax.Array,
-    omega: Vector,
-    moments: Vector,
-    products: Vector,
+    omega: Triple,
+    moments: Triple,
+    products: Triple,
     time: Scalar,
 ) -> tuple[jax.Array, Vector]:
     """Variations of the rotation wxyz (4,) and of ω then (3,), from those of ω, moments, products of inertia and time.
+
+    All seen from the motion's own frame.
 
     `third` is R_D (3,) of the lanes above.
     """
     cube = motion.clock.sine**3 / 3.0
     integrals = Integrals(cube * third[0], cube * third[1], third[2] / 3.0)
-    v = _variation(motion, components(omega), components(moments), components(products))
+    v = _variation(motion, omega, moments, products)
     clock = _clock_variation(motion, v, integrals)
     rate = cross(stack(*motion.momentum_then), stack(*motion.omega_then))
     dmomentum = stack(*_flipped(motion, v, clock, _momentum_variation(motion, v, clock), components(rate)))
@@ -92,9 +94,7 @@ def tangent_of(
     return change, domega + stack(*v.inverse) * rate * time
 
 
-def _variation(
-    motion: Motion, omega: list[Scalar], moments: list[Scalar], products: list[Scalar]
-) -> Variation:
+def _variation(motion: Motion, omega: Triple, moments: Triple, products: Triple) -> Variation:
     inverse, w, L = triple(lambda i, j, k: 1.0 / motion.moments[i]), motion.omega, motion.momentum
     turned = triple(lambda i, j, k: moments[i] * w[i] + products[k] * w[j] + products[j] * w[k])
     momentum = triple(lambda i, j, k: motion.moments[i] * omega[i] + turned[i])
@@ -104,7 +104,7 @@ def _variation(
         diagonal,
         triple(lambda k, i, j: -products[k] * inverse[i] * inverse[j]),
         momentum,
-        (omega[0], omega[1], omega[2]),
+        omega,
         energy[0] + energy[1] + energy[2],
         inverse,
         # As the difference L² J_k − 2T it would cancel.
@@ -120,7 +120,7 @@ def _varied_j(v: Variation, x: Triple) -> Vector:
 
 def _clock_variation(motion: Motion, v: Variation, integrals: Integrals) -> ClockVariation:
     """From the variations of e_c − e_b and e_a − e_b; δam = −½ Δ δm ∫ sin²/Δ³ dφ at fixed u."""
-    g, L, dL, dg, h, axes, clock = motion.g, motion.momentum, v.momentum, v.dg, v.h, motion.axes, motion.clock
+    g, L, dL, dg, h, clock = motion.g, motion.momentum, v.momentum, v.dg, v.h, motion.clock
     pairs = triple(lambda k, i, j: v.others[k] * L[i] * L[j])
     mixed = 2.0 * (pairs[0] + pairs[1] + pairs[2])
     dh = triple(
@@ -128,10 +128,10 @@ def _clock_variation(motion: Motion, v: Variation, integrals: Integrals) -> Cloc
             2.0 * (g[i] * L[j] * dL[j] - g[j] * L[i] * dL[i]) + dg[i] * L[j] ** 2 - dg[j] * L[i] ** 2 - mixed
         )
     )
-    change = triple(lambda k, i, j: -axes.parity * (dg[k] * h[k] + g[k] * dh[k]))
-    span, spread = pick(axes.a, change), -pick(axes.c, change)
+    change = triple(lambda k, i, j: -(dg[k] * h[k] + g[k] * dh[k]))
+    span, spread = change[0], -change[2]
     # e_c − e_a and its variation are small near the separatrix, and would be lost in the difference of the two others.
-    narrow = clock.complement * span + pick(axes.b, change)
+    narrow = clock.complement * span + change[1]
     s, c, d, time = clock.sine, clock.cn, clock.dn, clock.remainder
     along = 0.5 * (time * span - clock.span * narrow * integrals.over_a)  # λ δam / Δ
     # Below an eighth of a turn by the integral ∫ (S/C_c)² ds; beyond, where that one diverges, by the change of scale.
@@ -144,7 +144,7 @@ def _clock_variation(motion: Motion, v: Variation, integrals: Integrals) -> Cloc
     period = integrals.quarter * narrow - clock.chain.quarter * span
     return ClockVariation(
         ds,
-        triple(lambda i, j, k: jnp.where(axes.b == i, 0.0, jnp.where(axes.c == i, dc, dd))),
+        (dd, jnp.zeros_like(dd), dc),
         divided(period, clock.rate * clock.span),
     )
 
@@ -170,15 +170,11 @@ def _momentum_variation(motion: Motion, v: Variation, varied: ClockVariation) ->
         )
     )
     # D = C_a² − y_a² S² with y_a² = g_b g_c L_a².
-    square = triple(lambda i, j, k: g[j] * g[k] * L[i] ** 2)
-    dsquare = triple(
-        lambda i, j, k: (
-            (v.dg[j] * g[k] + g[j] * v.dg[k]) * L[i] ** 2
-            + 2.0 * L[i] * (g[j] * g[k] * dL[i] + g[k] * L[k] * v.others[j] - g[j] * L[j] * v.others[k])
-        )
+    square = g[1] * g[2] * L[0] ** 2
+    dsquare = (v.dg[1] * g[2] + g[1] * v.dg[2]) * L[0] ** 2 + 2.0 * L[0] * (
+        g[1] * g[2] * dL[0] + g[2] * L[2] * v.others[1] - g[1] * L[1] * v.others[2]
     )
-    a = motion.axes.a
-    change = 2.0 * (clock.dn * pick(a, dc) - pick(a, square) * s * ds) - pick(a, dsquare) * s * s
+    change = 2.0 * (clock.dn * dc[0] - square * s * ds) - dsquare * s * s
     inverse = 1.0 / motion.denominator
     return triple(lambda i, j, k: (numerator[i] - motion.base[i] * change) * inverse)
 
@@ -187,38 +183,35 @@ def _flipped(
     motion: Motion, v: Variation, varied: ClockVariation, dbase: Triple, rate: list[Scalar]
 ) -> Triple:
     """δL after the half periods: the sign flip, the tilt of its axis, and the change of the time left."""
-    clock, base = motion.clock, motion.base
+    clock, base, flip = motion.clock, motion.base, motion.clock.flip
     late = -clock.halves * jnp.where(clock.halves == 0, 0.0, varied.half_period)
-
-    def tilt(k: int, i: int, j: int) -> Scalar:
-        # The flip is 2 c cᵀ − 1, and δc along another axis x is δJ_xc/(J_c − J_x).
-        gap = jnp.where(motion.axes.c == j, 1.0, -1.0) * motion.g[k]
-        return jnp.where(clock.flip[i] != clock.flip[j], 2.0 * divided(v.others[k], gap), 0.0)
-
-    tilts = triple(tilt)
-    return triple(
-        lambda i, j, k: clock.flip[i] * dbase[i] + tilts[k] * base[j] + tilts[j] * base[k] + rate[i] * late
+    # The flip is 2 c cᵀ − 1, and δc along another axis x is δJ_xc/(J_c − J_x).
+    tilt_b, tilt_a = (
+        jnp.where(clock.odd < 0, 2.0 * divided(other, gap), 0.0)
+        for other, gap in ((v.others[0], motion.g[0]), (v.others[1], -motion.g[1]))
     )
+    tilted = (tilt_a * base[2], tilt_b * base[2], tilt_a * base[0] + tilt_b * base[1])
+    return triple(lambda i, j, k: flip[i] * dbase[i] + tilted[i] + rate[i] * late)
 
 
 def _action(motion: Motion, v: Variation, integrals: Integrals) -> Scalar:
     """½ ∫ L·δJ L ds over the whole time, from the six ∫ L_i L_j ds."""
-    L, g, clock, axes = motion.momentum, motion.g, motion.clock, motion.axes
-    c, s, b = clock.cosines, clock.sine, axes.b
+    L, g, clock = motion.momentum, motion.g, motion.clock
+    c, s, flip = clock.cosines, clock.sine, clock.flip
     # ∫ L_b² ds by the addition theorem of the integral of the second kind; the two other squares by the invariants.
     half = divided(
         2.0 * (clock.chain.quarter - clock.complement * integrals.quarter), clock.span * clock.rate
     )
     passed = integrals.plain + clock.halves * jnp.where(clock.halves == 0, 0.0, half)
-    middle = jnp.abs(pick(axes.a, v.h) * pick(axes.c, v.h)) * passed + s * pick(b, L) * pick(b, motion.base)
-    excess = divided(middle - pick(b, L) ** 2 * motion.time, pick(b, g))
+    middle = jnp.abs(v.h[0] * v.h[2]) * passed + s * L[1] * motion.base[1]
+    excess = divided(middle - L[1] ** 2 * motion.time, g[1])
     squares = triple(lambda i, j, k: L[i] ** 2 * motion.time + g[i] * excess)
 
     def mixed(k: int, i: int, j: int) -> Scalar:
         # (L_k(t) − L_k)/g_k, divided out.
         ratio = divided(c[i] * g[i] * L[j] ** 2 + c[j] * g[j] * L[i] ** 2, c[i] + c[j])
         left = (L[i] * L[j] * s * c[k] + L[k] * s * s * ratio) / motion.denominator
-        return clock.flip[k] * left + (clock.flip[k] - 1.0) * divided(L[k], g[k])
+        return flip[k] * left + (flip[k] - 1.0) * divided(L[k], g[k])
 
     terms = triple(lambda k, i, j: 0.5 * v.diagonal[k] * squares[k] + v.others[k] * mixed(k, i, j))
     return terms[0] + terms[1] + terms[2]

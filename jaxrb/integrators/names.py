@@ -8,13 +8,26 @@ from jaxrb.errors import UnknownName, WrongStructure
 from jaxrb.integrators.euler import ExplicitEuler
 from jaxrb.integrators.method import Method
 from jaxrb.integrators.midpoint import ImplicitMidpoint
+from jaxrb.integrators.moser_veselov import MoserVeselov, MoserVeselov4, MoserVeselov6
 from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.integrators.semi_implicit import SemiImplicitEuler
+from jaxrb.integrators.three_axis_splitting import ThreeAxisSplitting, ThreeAxisSplitting4
 from jaxrb.integrators.verlet import VelocityVerlet
 
 METHODS: dict[str, Callable[[], Method]] = {
     kind.__name__: kind
-    for kind in (ExplicitEuler, SemiImplicitEuler, VelocityVerlet, RungeKutta4, ImplicitMidpoint)
+    for kind in (
+        ExplicitEuler,
+        SemiImplicitEuler,
+        VelocityVerlet,
+        RungeKutta4,
+        ImplicitMidpoint,
+        ThreeAxisSplitting,
+        ThreeAxisSplitting4,
+        MoserVeselov,
+        MoserVeselov4,
+        MoserVeselov6,
+    )
 }
 
 

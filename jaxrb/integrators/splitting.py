@@ -14,68 +14,102 @@ from jaxrb.integrators.method import Method, advanced
 from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.math.quaternion import Quaternion
 
-# Symmetric compositions of a symmetric method of order 2: the substeps as parts of the step.
-_SUZUKI = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
-STRANG = (1.0,)
-SUZUKI = (_SUZUKI, _SUZUKI, 1.0 - 4.0 * _SUZUKI, _SUZUKI, _SUZUKI)
+Pairs = tuple[tuple[float, float], ...]
+
+# Symmetric compositions of a method of order 1 and its adjoint: the parts α₁, α₂ | α₃, α₄ | … of the step, of which each
+# pair is one substep. With an operator split in two they read a₁ = α₁, b₁ = α₁ + α₂, a₂ = α₂ + α₃, …
+STRANG = ((0.5, 0.5),)
+
+
+def _pairs(outer: tuple[float, ...], inner: tuple[float, ...]) -> Pairs:
+    """The pairs of a symmetric composition from the first coefficients a and b of its published form."""
+    outer = (*outer, 1.0 - 2.0 * sum(outer), *reversed(outer))
+    inner = (*inner, 0.5 - sum(inner))
+    inner = (*inner, *reversed(inner))
+    parts, left = [], 0.0
+    for a, b in zip(outer, inner, strict=False):
+        parts.append((a - left, b - a + left))
+        left = parts[-1][1]
+    return tuple(parts)
+
+
+# S6 of order 4, error per cost 15 to 30 times below that of Suzuki's five substeps and McLachlan's (measured on four
+# exact answers); S10 of order 6. (Blanes and Moan 2002, J. Comput. Appl. Math. 142, 313.)
+BLANES_MOAN_4 = _pairs(
+    (0.0792036964311957, 0.353172906049774, -0.0420650803577195), (0.209515106613362, -0.143851773179818)
+)
+
+BLANES_MOAN_6 = _pairs(
+    (0.0502627644003922, 0.413514300428344, 0.0450798897943977, -0.188054853819569, 0.541960678450780),
+    (0.148816447901042, -0.132385865767784, 0.067307604692185, 0.432666402578175),
+)
 
 
 class Splitting(Method):
-    """Half a kick of force and torque, free flight, half a kick; substeps of `weights` · dt make the higher orders.
+    """Half a kick of force and torque, free flight, half a kick; a composition of such substeps gives higher orders.
 
-    A subclass says how a body turns freely; it moves uniformly meanwhile. The first half kick is explicit, the last one
+    A subclass says how a body turns freely; it moves uniformly meanwhile. The first kick is explicit, the last one
     implicit in the velocities, solved by `sweeps` rounds of repetition, so that the step is symmetric in time for drag
     as well. Rounds cost nothing for forces that depend on the pose alone: all of them are then the same number, which
     the compiler forms once. Without effects and torque the step is a free flight and nothing else.
-    (Strang 1968, SIAM J. Numer. Anal. 5, 506; Suzuki 1990, Phys. Lett. A 146, 319.)
+    (Strang 1968, SIAM J. Numer. Anal. 5, 506; McLachlan 1995, SIAM J. Sci. Comput. 16, 151.)
     """
 
     stability_limit: ClassVar[float] = 2.0
     needs_group: ClassVar[bool] = True
-    weights: eqx.AbstractClassVar[tuple[float, ...]]
-    # The substeps of a step of free flight, where `turn` is of higher order than the splitting.
-    free_weights: eqx.AbstractClassVar[tuple[float, ...]]
+    parts: eqx.AbstractClassVar[Pairs]
 
     sweeps: int = eqx.field(static=True, default=3)
 
-    def turn(self, inertia: InertiaSolver, omega: Vector, span: Scalar) -> tuple[Quaternion, Vector]:
-        """Free rotation for `span` [s]: the turn from the later to the earlier body frame, and the later ω."""
+    def turn(
+        self, inertia: InertiaSolver, omega: Vector, first: Scalar, second: Scalar
+    ) -> tuple[Quaternion, Vector]:
+        """Free rotation for first + second [s], a step of order 1 and then its adjoint.
+
+        Returns the turn from the later to the earlier body frame, and the later ω.
+        """
+        raise NotImplementedError
+
+    def turn_freely(self, inertia: InertiaSolver, omega: Vector, dt: Scalar) -> tuple[Quaternion, Vector]:
+        """Free rotation for a whole step, of the order of the method."""
         raise NotImplementedError
 
     def advance(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None) -> State:
         wrench = dynamics.wrench(state, torque)
         if wrench.force is None and wrench.torque is None:
-            return self._repeated(self.free_weights, lambda s, span: self._flight(dynamics, s, span), state, dt)
-        return self._repeated(self.weights, lambda s, span: self._kicked(dynamics, s, span, torque), state, dt)
+            return _flown(state, dt, *self.turn_freely(dynamics.inertia, state.angular_velocity, dt))
+        if len(self.parts) == 1:
+            return self._substep(dynamics, state, dt * self.parts[0][0], dt * self.parts[0][1], torque)
+        # A scan: unrolled, six substeps take six times as long to compile.
+        spans = dt * jnp.asarray(self.parts, state.dtype)
+        return lax.scan(
+            lambda s, pair: (self._substep(dynamics, s, pair[0], pair[1], torque), None), state, spans
+        )[0]
 
-    def _repeated(self, weights: tuple[float, ...], substep, state: State, dt: Scalar) -> State:
-        if len(weights) == 1:
-            return substep(state, dt)
-        # A scan: unrolled, five substeps take five times as long to compile.
-        spans = jnp.asarray(weights, state.dtype) * dt
-        return lax.scan(lambda s, span: (substep(s, span), None), state, spans)[0]
-
-    def _flight(self, dynamics: Dynamics, state: State, span: Scalar) -> State:
-        increment, omega = self.turn(dynamics.inertia, state.angular_velocity, span)
-        return State(
-            advanced(state.position, span, state.velocity),
-            state.orientation @ type(state.orientation).from_rotation(increment),
-            state.velocity,
-            omega,
-            state.time + span,
-        )
-
-    def _kicked(self, dynamics: Dynamics, state: State, span: Scalar, torque: Vector | None) -> State:
-        half = 0.5 * span
-        start = _kick(dynamics, state, dynamics.wrench(state, torque), half)
-        flown = dynamics.complete(self._flight(dynamics, start, span))
+    def _substep(
+        self, dynamics: Dynamics, state: State, first: Scalar, second: Scalar, torque: Vector | None
+    ) -> State:
+        start = _kicked(dynamics, state, dynamics.wrench(state, torque), first)
+        turned = self.turn(dynamics.inertia, start.angular_velocity, first, second)
+        flown = dynamics.complete(_flown(start, first + second, *turned))
         end = flown
         for _ in range(self.sweeps):
-            end = _kick(dynamics, flown, dynamics.wrench(end, torque), half)
+            end = _kicked(dynamics, flown, dynamics.wrench(end, torque), second)
         return end
 
 
-def _kick(dynamics: Dynamics, state: State, wrench: Wrench, span: Scalar) -> State:
+def _flown(state: State, span: Scalar, increment: Quaternion, omega: Vector) -> State:
+    """The state after uniform motion for `span` while the body turned."""
+    return State(
+        advanced(state.position, span, state.velocity),
+        state.orientation @ type(state.orientation).from_rotation(increment),
+        state.velocity,
+        omega,
+        state.time + span,
+    )
+
+
+def _kicked(dynamics: Dynamics, state: State, wrench: Wrench, span: Scalar) -> State:
     """The state with the velocities that a wrench gives it in `span`."""
     angular = None if wrench.torque is None else dynamics.inertia.response(wrench.torque)
     return State(

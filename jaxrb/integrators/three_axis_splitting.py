@@ -1,15 +1,19 @@
 """Free rotation split into exact rotations about body axes."""
 
-from typing import ClassVar
+import functools
+import operator
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from jaxrb.body.inertia import FullSolver, InertiaSolver, PrincipalSolver, SphericalSolver
-from jaxrb.integrators.splitting import STRANG, SUZUKI, Splitting
+from jaxrb.integrators.splitting import BLANES_MOAN_4, STRANG, Pairs, Splitting
 from jaxrb.math.arrays import Scalar, Vector, components, stack
-from jaxrb.math.quaternion import Quaternion, product
+from jaxrb.math.quaternion import Quaternion
 from jaxrb.math.rational import half_turn_factors, turn
+from jaxrb.math.vector import dot
 
 
 class ThreeAxisSplitting(Splitting):
@@ -26,65 +30,143 @@ class ThreeAxisSplitting(Splitting):
     """
 
     order: ClassVar[int] = 2
-    weights: ClassVar[tuple[float, ...]] = STRANG
-    free_weights: ClassVar[tuple[float, ...]] = STRANG
+    parts: ClassVar[Pairs] = STRANG
 
-    def turn(self, inertia: InertiaSolver, omega: Vector, span: Scalar) -> tuple[Quaternion, Vector]:
+    def turn(
+        self, inertia: InertiaSolver, omega: Vector, first: Scalar, second: Scalar
+    ) -> tuple[Quaternion, Vector]:
         if isinstance(inertia, SphericalSolver):
-            return Quaternion(turn(span * omega)), omega
-        if isinstance(inertia, PrincipalSolver):
-            return _principal(inertia, omega, span)
-        raise NotImplementedError
+            return Quaternion(turn((first + second) * omega)), omega
+        return _split(inertia, omega, [(first, second)])
+
+    def turn_freely(self, inertia: InertiaSolver, omega: Vector, dt: Scalar) -> tuple[Quaternion, Vector]:
+        if isinstance(inertia, SphericalSolver):
+            return Quaternion(turn(dt * omega)), omega
+        return _split(inertia, omega, [(dt * first, dt * second) for first, second in self.parts])
 
 
 class ThreeAxisSplitting4(ThreeAxisSplitting):
-    """`ThreeAxisSplitting` composed of five substeps. Order 4."""
+    """`ThreeAxisSplitting` in six substeps with the coefficients of Blanes and Moan. Order 4."""
 
     order: ClassVar[int] = 4
-    weights: ClassVar[tuple[float, ...]] = SUZUKI
-    free_weights: ClassVar[tuple[float, ...]] = SUZUKI
+    parts: ClassVar[Pairs] = BLANES_MOAN_4
 
 
-def _principal(inertia: PrincipalSolver, omega: Vector, span: Scalar) -> tuple[Quaternion, Vector]:
-    moments, first, second = (components(x) for x in (inertia.inertia.moments, omega, inertia.inverse))
-    is_1, is_2 = _middle(second)
-    roll = lambda x: _rolled(is_1, is_2, x)  # noqa: E731
-    ia, ib, ic = roll(moments)
-    ja, jb, jc = roll(second)
-    a, b, c = (i * w for i, w in zip((ia, ib, ic), roll(first), strict=True))
-    common = turn(span * stack(jc * a, jc * b, jc * c))
-    half = 0.5 * span
-    c1, s1, b, c = _turned(half * (ja - jc), a, b, c)
-    a, b, c = components(stack(a, b, c))
-    c2, s2, c, a = _turned(span * (jb - jc), b, c, a)
-    a, b, c = components(stack(a, b, c))
-    c3, s3, b, c = _turned(half * (ja - jc), a, b, c)
-    split = stack(
-        c2 * (c1 * c3 - s1 * s3), c2 * (c1 * s3 + s1 * c3), s2 * (c1 * c3 + s1 * s3), s2 * (s1 * c3 - c1 * s3)
-    )
-    w, x, y, z = components(product(common, split))
-    back = lambda v: _rolled(is_2, is_1, v)  # noqa: E731
-    return Quaternion(stack(w, *back((x, y, z)))), stack(*back((a / ia, b / ib, c / ic)))
+def _split(inertia: InertiaSolver, omega: Vector, pairs: list) -> tuple[Quaternion, Vector]:
+    if isinstance(inertia, PrincipalSolver):
+        return _principal(inertia, omega, pairs)
+    assert isinstance(inertia, FullSolver)
+    return _full(inertia, omega, pairs)
+
+
+def _principal(inertia: PrincipalSolver, omega: Vector, pairs: list) -> tuple[Quaternion, Vector]:
+    """Rotations about two principal axes a and b in turn, and about the momentum for what all three have in common."""
+    inverse = components(inertia.inverse)
+    first, second = _middle(inverse)
+
+    def rolled(x: Any) -> list[jax.Array]:
+        return _rolled(first, second, x)
+
+    def back(x: Any) -> list[jax.Array]:
+        return _rolled(second, first, x)
+
+    moments, (ja, jb, jc) = rolled(components(inertia.inertia.moments)), rolled(inverse)
+    momentum = [i * w for i, w in zip(moments, rolled(components(omega)), strict=True)]
+    total = functools.reduce(operator.add, [part for pair in pairs for part in pair])
+    turned = components(turn(stack(*(total * jc * m for m in momentum))))
+    rate_a, rate_b = ja - jc, jb - jc
+    waiting = None
+    for one, two in pairs:
+        span = one if waiting is None else one + waiting
+        turned, momentum = _about(0, span * rate_a, turned, momentum)
+        turned, momentum = _about(1, (one + two) * rate_b, turned, momentum)
+        waiting = two
+    (w, x, y, z), momentum = _about(0, waiting * rate_a, turned, momentum)
+    later = back([m / i for m, i in zip(momentum, moments, strict=True)])
+    return Quaternion(stack(w, *back((x, y, z)))), stack(*later)
+
+
+def _about(axis: int, rate: Scalar, turned: list[jax.Array], momentum: list[jax.Array]):
+    """Turn and momentum after a rotation about one axis by rate · momentum about it."""
+    i, j, k = axis, (axis + 1) % 3, (axis + 2) % 3
+    angle = rate * momentum[i]
+    cosine, factor = half_turn_factors(angle * angle)
+    sine = factor * angle
+    # 1 − cos θ and sin θ: the small change is added to the momentum, which rounds less than a product by cos θ.
+    versine, full = 2.0 * sine * sine, 2.0 * sine * cosine
+    new = list(momentum)
+    new[j] = momentum[j] + (full * momentum[k] - versine * momentum[j])
+    new[k] = momentum[k] - (full * momentum[j] + versine * momentum[k])
+    w, x, y, z = turned[0], turned[1 + i], turned[1 + j], turned[1 + k]
+    q = list(turned)
+    q[0], q[1 + i] = cosine * w - sine * x, cosine * x + sine * w
+    q[1 + j], q[1 + k] = cosine * y + sine * z, cosine * z - sine * y
+    # Together in one array: the compiler would form every number anew for each of its uses, down the whole chain.
+    parts = components(stack(*q, *new))
+    return parts[:4], parts[4:]
 
 
 def _middle(x: list[jax.Array]) -> tuple[jax.Array, jax.Array]:
+    """Whether the first, and whether the second, of three numbers is the middle one; of equal ones any serves."""
     p, q, r = x
     middle = jnp.maximum(jnp.minimum(p, q), jnp.minimum(jnp.maximum(p, q), r))
     return middle == p, (middle == q) & (middle != p)
 
 
-def _rolled(is_1, is_2, x):
-    """x rolled so that the middle is the last."""
+def _rolled(first: jax.Array, second: jax.Array, x: Any) -> list[jax.Array]:
+    """x rolled in a circle by one place where `first`, by two where `second`: the first (second) becomes the last."""
     p, q, r = x
     return [
-        jnp.where(is_1, one, jnp.where(is_2, two, three))
+        jnp.where(first, one, jnp.where(second, two, three))
         for one, two, three in ((q, r, p), (r, p, q), (p, q, r))
     ]
 
 
-def _turned(rate: Scalar, axis: Scalar, b: Scalar, c: Scalar):
-    angle = rate * axis
-    cosine, factor = half_turn_factors(angle * angle)
-    sine = factor * angle
-    versine, full = 2.0 * sine * sine, 2.0 * sine * cosine
-    return cosine, sine, b + (full * c - versine * b), c - (full * b + versine * c)
+def _full(inertia: FullSolver, omega: Vector, pairs: list) -> tuple[Quaternion, Vector]:
+    """Rotations about three fixed axes u with I⁻¹ = σ 1 + Σ d u uᵀ, and about the momentum for σ.
+
+    The axes are those of the Cholesky factors, which have derivatives at equal moments where principal axes have none.
+    """
+    axes, common = _axes(inertia)
+    momentum = inertia.inertia.apply(omega)
+    total = functools.reduce(operator.add, [part for pair in pairs for part in pair])
+    turned = Quaternion(turn(total * common[..., None] * momentum))
+
+    def substep(carry: tuple[Quaternion, Vector], pair: Any) -> tuple[tuple[Quaternion, Vector], None]:
+        first, second = pair
+        spans = (first, first, first + second, second, second)
+        for (axis, rate), span in zip((*axes, *axes[1::-1]), spans, strict=True):
+            carry = _about_axis(axis, span * rate, *carry)
+        return carry, None
+
+    carry = (turned, momentum)
+    if len(pairs) == 1:
+        carry, _ = substep(carry, pairs[0])
+    else:
+        carry, _ = lax.scan(substep, carry, jnp.stack([jnp.stack(pair) for pair in pairs]))
+    turned, momentum = carry
+    return turned, inertia.response(momentum)
+
+
+def _axes(inertia: FullSolver) -> tuple[list[tuple[Vector, Scalar]], Scalar]:
+    """Three pairs (u, d), and σ. With σ = 3/2 over the trace of I every d is positive for every rigid body, since no
+    moment exceeds half the trace; it takes out what a compact body has of a sphere."""
+    common = 1.5 / inertia.inertia.trace()
+    xx, yy, zz, xy, xz, yz = components(inertia.inverse)
+    first = xx - common
+    one, zero = jnp.ones_like(xx), jnp.zeros_like(xx)
+    down, across = xy / first, xz / first
+    second = yy - common - down * xy
+    last = (yz - down * xz) / second
+    third = zz - common - across * xz - last * (yz - down * xz)
+    axes = [stack(one, down, across), stack(zero, one, last), stack(zero, zero, one)]
+    return list(zip(axes, (first, second, third), strict=True)), common
+
+
+def _about_axis(
+    axis: Vector, rate: Scalar, turned: Quaternion, momentum: Vector
+) -> tuple[Quaternion, Vector]:
+    """Turn and momentum after a rotation about a fixed axis of any length by rate · (momentum along it)."""
+    angle = rate * dot(axis, momentum)
+    step = Quaternion(turn(stack(*(angle * x for x in components(axis)))))
+    return turned @ step, step.unrotate(momentum)

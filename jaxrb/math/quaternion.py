@@ -43,6 +43,13 @@ class Quaternion(Rotation):
         return cls(stack((1.0 - squared) * inverse, u1 * twice, u2 * twice, u3 * twice))
 
     @classmethod
+    def of_tangent(cls, vector: Vector) -> Self:
+        """Rotation about `vector` (..., 3) by 2 atan of its length (Gibbs, Rodrigues): [1, g]/√(1 + |g|²)."""
+        x, y, z = components(vector)
+        cosine = 1.0 / jnp.sqrt(1.0 + (x * x + y * y + z * z))
+        return cls(stack(cosine, cosine * x, cosine * y, cosine * z))
+
+    @classmethod
     def from_rotation(cls, other: Rotation) -> Self:
         return cls(other.as_quaternion_array())
 

@@ -82,5 +82,16 @@ def solve(columns: tuple[Vector, Vector, Vector], v: Vector) -> Vector:
     return stack(*(inverse_determinant * x for x in (dot(v, bc), dot(a, cross(v, c)), dot(a, cross(b, v)))))
 
 
+def inverse_rows(columns: tuple[Vector, Vector, Vector]) -> tuple[Vector, Vector, Vector]:
+    """The rows of m⁻¹ for the matrix with these columns. A singular m gives infinities."""
+    a, b, c = columns
+    bc = cross(b, c)
+    inverse_determinant = 1.0 / dot(a, bc)
+    p, q, r = (
+        stack(*(inverse_determinant * x for x in components(row))) for row in (bc, cross(c, a), cross(a, b))
+    )
+    return p, q, r
+
+
 def _column(m: Matrix, j: int) -> Vector:
     return m[..., :, j]

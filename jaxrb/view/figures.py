@@ -99,26 +99,51 @@ def drift_figure(runs: Sequence[DriftRun]) -> Any:
     return figure
 
 
-def work_precision_figure(points: Sequence[Point], bodies: int) -> Any:
-    """Attitude error against CPU time for each method and representation."""
-    figure = new_figure((7.5, 5.0))
+def work_precision_figure(points: Sequence[Point], bodies: int, known: float = 0.0, title: str = "") -> Any:
+    """Attitude error against CPU time for each method, representation and precision.
+
+    `known` [rad] is the uncertainty of the reference: errors below it are drawn at it, hollow. Rings mark the points
+    that nothing cheaper matches.
+    """
+    figure = new_figure((8.5, 5.6))
     axes = figure.subplots()
-    names = dict.fromkeys((p.method, p.representation) for p in points)
+    names = dict.fromkeys((p.method, p.representation, p.precision) for p in points)
     markers = {"quaternion": "o", "rotation matrix": "s"}
     colours = {m: f"C{i}" for i, m in enumerate(dict.fromkeys(p.method for p in points))}
-    for method, representation in names:
-        chosen = [p for p in points if (p.method, p.representation) == (method, representation)]
+    mixed = len({p.precision for p in points}) > 1
+    for method, representation, precision in names:
+        chosen = [
+            p
+            for p in points
+            if (p.method, p.representation, p.precision) == (method, representation, precision)
+        ]
         axes.loglog(
             [1e6 * p.run_seconds / bodies for p in chosen],
-            [p.attitude_error_rad for p in chosen],
+            [max(p.attitude_error_rad, known) for p in chosen],
             marker=markers.get(representation, "^"),
+            markersize=4,
+            fillstyle="none" if any(p.beyond_reference for p in chosen) else "full",
             color=colours[method],
             linestyle="-" if representation == "quaternion" else ":",
-            label=f"{method}, {representation}",
+            alpha=1.0 if precision == "float64" or not mixed else 0.45,
+            label=f"{method}, {representation}" + (f", {precision}" if mixed else ""),
         )
-    axes.set(xlabel="CPU time a body for the whole run [µs]", ylabel="attitude error at the end [rad]")
-    axes.grid(alpha=0.3, which="both")
-    axes.legend(fontsize=8)
+    front = sorted((p for p in points if p.on_front), key=lambda p: p.run_seconds)
+    if front:
+        x = [1e6 * p.run_seconds / bodies for p in front]
+        y = [max(p.attitude_error_rad, known) for p in front]
+        axes.loglog(
+            x, y, "o", markersize=11, fillstyle="none", color="k", label="nothing cheaper is as accurate"
+        )
+    if known > 0.0:
+        axes.axhline(known, color="0.5", linewidth=0.8)
+        axes.annotate("uncertainty of the reference", (1.0, known), xycoords=("axes fraction", "data"), ha="right",
+                      va="bottom", fontsize=8, color="0.4")  # fmt: skip
+    axes.set(
+        xlabel="CPU time a body for the whole run [µs]", ylabel="attitude error at the end [rad]", title=title
+    )
+    axes.grid(alpha=0.3, which="major")
+    axes.legend(fontsize=7 if len(names) > 10 else 8, ncols=1 + (len(names) > 14))
     return figure
 
 

@@ -13,7 +13,9 @@ ABOUT_PIVOT = MOMENTS[1] + MASS * ARM**2
 
 def pendulum(*more, **options) -> rb.Scene:
     """A body that hangs from its point (0, 0, 0.3) at the world's origin; it swings about y."""
-    return rb.Scene(rb.Body(MASS, MOMENTS), (rb.UniformGravity(), rb.FixedPoint((0, 0, ARM), **options), *more))
+    return rb.Scene(
+        rb.Body(MASS, MOMENTS), (rb.UniformGravity(), rb.FixedPoint((0, 0, ARM), **options), *more)
+    )
 
 
 def tilted(angle: float) -> rb.Quaternion:
@@ -70,7 +72,9 @@ def test_angular_momentum_about_the_vertical_through_the_anchor_is_conserved(top
     """Gravity has no torque about it; the scene's own sum is about the world's origin."""
     kept, final = top.diagnostics, top.states
     anchor = np.asarray([1.0, -2.0, 0.5])
-    about_anchor = np.asarray(kept.angular_momentum) - np.cross(anchor, MASS * np.asarray(final.velocity[:, 0]))
+    about_anchor = np.asarray(kept.angular_momentum) - np.cross(
+        anchor, MASS * np.asarray(final.velocity[:, 0])
+    )
     assert largest(about_anchor[:, 2] - about_anchor[0, 2]) < tolerance(float64=1e-9, float32=2e-5)
 
 
@@ -96,7 +100,8 @@ def test_body_held_at_its_centre_turns_as_a_free_one(tolerance):
     body = rb.Body(MASS, MOMENTS)
     held, free = rb.Scene(body, (rb.UniformGravity(), rb.FixedPoint((0.0, 0.0, 0.0)))), rb.Scene(body)
     finals = [
-        rb.rollout(scene, scene.state(angular_velocity=(1, 2, 3)), dt=0.005, steps=100).final for scene in (held, free)
+        rb.rollout(scene, scene.state(angular_velocity=(1, 2, 3)), dt=0.005, steps=100).final
+        for scene in (held, free)
     ]
     small = tolerance(float64=1e-13, float32=3e-6)
     assert largest(finals[0].orientation.wxyz - finals[1].orientation.wxyz) < small
@@ -105,12 +110,12 @@ def test_body_held_at_its_centre_turns_as_a_free_one(tolerance):
 
 def test_force_on_a_held_body_acts_by_its_torque_about_the_point(tolerance):
     """A push at the centre of a resting pendulum without gravity: ω̇ = d F/I_O."""
-    scene = rb.Scene(
-        rb.Body(MASS, MOMENTS), (rb.BodyThruster((0.5, 0.0, 0.0)), rb.FixedPoint((0, 0, ARM)))
-    )
+    scene = rb.Scene(rb.Body(MASS, MOMENTS), (rb.BodyThruster((0.5, 0.0, 0.0)), rb.FixedPoint((0, 0, ARM))))
     final = rb.rollout(scene, scene.state(), dt=0.001, steps=100).final
     expected = -ARM * 0.5 / ABOUT_PIVOT * 0.1
-    assert float(final.angular_velocity[0, 1]) == pytest.approx(expected, rel=tolerance(float64=1e-12, float32=1e-5))
+    assert float(final.angular_velocity[0, 1]) == pytest.approx(
+        expected, rel=tolerance(float64=1e-12, float32=1e-5)
+    )
 
 
 def test_state_of_a_held_body_places_its_centre():

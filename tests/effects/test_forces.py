@@ -96,7 +96,9 @@ def test_thruster_turns_with_its_body(run, tolerance):
     fine = np.linspace(0, t[-1], 20_001)
     angle = 0.5 * rate * fine**2
     push = np.stack([np.sin(angle), 0 * fine, np.cos(angle)], -1) * 3.0 / MASS
-    gained = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (push[1:] + push[:-1]) * np.diff(fine)[:, None], 0)])
+    gained = np.concatenate(
+        [np.zeros((1, 3)), np.cumsum(0.5 * (push[1:] + push[:-1]) * np.diff(fine)[:, None], 0)]
+    )
     assert largest(v - START_V - gained[::1000]) < tolerance(float64=1e-7, float32=1e-5)
 
 
@@ -116,7 +118,9 @@ def test_constant_torque_spins_up_evenly_and_equals_the_applied_one(dtype, toler
     torque = (0.0, 0.3, 0.0)
     scene, bare = rb.Scene(body, rb.PrescribedTorque(torque)), rb.Scene(body)
     final = rb.rollout(scene, scene.state(), dt=0.01, steps=100).final
-    assert largest(final.angular_velocity - np.asarray([[0, 0.15, 0]])) < tolerance(float64=1e-14, float32=1e-6)
+    assert largest(final.angular_velocity - np.asarray([[0, 0.15, 0]])) < tolerance(
+        float64=1e-14, float32=1e-6
+    )
     applied = rb.rollout(bare, bare.state(), dt=0.01, steps=100, torque=np.asarray(torque, dtype)).final
     assert largest(final.orientation.wxyz - applied.orientation.wxyz) == 0
     turned = np.asarray([np.cos(0.0375), 0, np.sin(0.0375), 0])  # half of ½ (τ/I) t²
@@ -157,7 +161,9 @@ def test_coefficients_of_each_body_act_on_that_body(tolerance):
 
 def _pull(body, state, parameters):
     """Gravity and Stokes drag in the user's words."""
-    return rb.Wrench(body.mass * parameters["g"] - parameters["c"] * state.velocity, -0.2 * state.angular_velocity)
+    return rb.Wrench(
+        body.mass * parameters["g"] - parameters["c"] * state.velocity, -0.2 * state.angular_velocity
+    )
 
 
 def _height(body, state, parameters):
@@ -169,7 +175,9 @@ def test_custom_force_equals_the_built_in_ones(dtype, tolerance):
     parameters = {"g": jnp.asarray([0.0, 1.0, -9.0], dtype), "c": jnp.asarray(0.4, dtype)}
     bodies = rb.Body(1.5, (1.0, 2.0, 2.5))
     own = rb.Scene(bodies, rb.CustomForce(_pull, parameters, potential=_height))
-    built_in = rb.Scene(bodies, (rb.UniformGravity((0.0, 1.0, -9.0)), rb.LinearDrag(0.4, angular_coefficient=0.2)))
+    built_in = rb.Scene(
+        bodies, (rb.UniformGravity((0.0, 1.0, -9.0)), rb.LinearDrag(0.4, angular_coefficient=0.2))
+    )
     state = own.state((0, 1, 2), velocity=(1, 2, 3), angular_velocity=(0.3, -1.0, 2.0))
     one, other = (rb.rollout(scene, state, dt=0.01, steps=50).final for scene in (own, built_in))
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
@@ -178,7 +186,9 @@ def test_custom_force_equals_the_built_in_ones(dtype, tolerance):
 
 
 def _swing(body, state, parameters):
-    return rb.Wrench(torque=jnp.stack([jnp.zeros_like(state.time), jnp.zeros_like(state.time), jnp.cos(state.time)]))
+    return rb.Wrench(
+        torque=jnp.stack([jnp.zeros_like(state.time), jnp.zeros_like(state.time), jnp.cos(state.time)])
+    )
 
 
 def test_custom_force_sees_the_time(tolerance):
@@ -186,7 +196,9 @@ def test_custom_force_sees_the_time(tolerance):
     scene = rb.Scene(rb.Body(1.0, 1.0), rb.CustomForce(_swing))
     final = rb.rollout(scene, scene.state(time=0.5), dt=0.02, steps=50).final
     expected = np.sin(1.5) - np.sin(0.5)
-    assert float(final.angular_velocity[0, 2]) == pytest.approx(expected, abs=tolerance(float64=1e-9, float32=1e-6))
+    assert float(final.angular_velocity[0, 2]) == pytest.approx(
+        expected, abs=tolerance(float64=1e-9, float32=1e-6)
+    )
 
 
 def test_order_of_effects_does_not_matter(tolerance):
@@ -197,4 +209,6 @@ def test_order_of_effects_does_not_matter(tolerance):
         scene = rb.Scene(body, order)
         finals.append(rb.rollout(scene, scene.state(angular_velocity=(1, 2, 3)), dt=0.01, steps=20).final)
     assert largest(finals[0].position - finals[1].position) < tolerance(float64=1e-15, float32=1e-6)
-    assert largest(finals[0].orientation.wxyz - finals[1].orientation.wxyz) < tolerance(float64=1e-15, float32=1e-6)
+    assert largest(finals[0].orientation.wxyz - finals[1].orientation.wxyz) < tolerance(
+        float64=1e-15, float32=1e-6
+    )

@@ -13,11 +13,15 @@ def test_spring_to_the_world_oscillates_with_its_period(tolerance):
     """x = x₀ cos √(k/m) t for zero rest length: in all three directions at once, about the anchor."""
     scene = rb.Scene(rb.Body(2.0, 1.0), rb.SpringDamper(K, point_b=(1.0, 2.0, 3.0)))
     start = np.asarray([0.3, -0.2, 0.5])
-    path = rb.rollout(scene, scene.state(position=([1.0, 2.0, 3.0] + start).tolist()), dt=0.005, steps=400)
+    path = rb.rollout(
+        scene, scene.state(position=np.add([1.0, 2.0, 3.0], start).tolist()), dt=0.005, steps=400
+    )
     expected = np.cos(np.sqrt(K / 2.0) * np.asarray(path.times, np.float64))[:, None] * start
     error = largest(path.states.position[:, 0] - np.asarray([1.0, 2.0, 3.0]) - expected)
     assert error < tolerance(float64=1e-8, float32=1e-5)
-    assert largest(path.diagnostics.energy - path.diagnostics.energy[0]) < tolerance(float64=1e-8, float32=1e-4)
+    assert largest(path.diagnostics.energy - path.diagnostics.energy[0]) < tolerance(
+        float64=1e-8, float32=1e-4
+    )
 
 
 def test_damped_spring_with_rest_length_follows_its_closed_form(tolerance):
@@ -42,7 +46,9 @@ def pair():
     for damping in (0.0, 4.0):
         scene = rb.Scene(bodies, rb.SpringDamper(K, damping=damping, **ends))
         state = scene.state(
-            [(0.0, 0, 0), (1.0, 0.5, 0)], velocity=[(0.5, 1, 0), (0, 0, -0.2)], angular_velocity=(1.0, -2.0, 0.5)
+            [(0.0, 0, 0), (1.0, 0.5, 0)],
+            velocity=[(0.5, 1, 0), (0, 0, -0.2)],
+            angular_velocity=(1.0, -2.0, 0.5),
         )
         paths.append(rb.rollout(scene, state, dt=0.005, steps=400, save_every=20))
     return paths
@@ -78,10 +84,15 @@ def test_springs_in_one_effect_equal_springs_in_many(tolerance):
     """Bodies in a chain: a body may be at several ends, and the forces add up."""
     chain = rb.replicate(rb.Body(1.0, 0.2), 3)
     stiffness, points = [10.0, 20.0], [(0.1, 0.0, 0.0), (0.0, 0.1, 0.0)]
-    one = rb.Scene(chain, rb.SpringDamper(stiffness, rest_length=0.3, point_a=points, body_a=(0, 1), body_b=(1, 2)))
+    one = rb.Scene(
+        chain, rb.SpringDamper(stiffness, rest_length=0.3, point_a=points, body_a=(0, 1), body_b=(1, 2))
+    )
     many = rb.Scene(
         chain,
-        [rb.SpringDamper(stiffness[i], rest_length=0.3, point_a=points[i], body_a=i, body_b=i + 1) for i in (0, 1)],
+        [
+            rb.SpringDamper(stiffness[i], rest_length=0.3, point_a=points[i], body_a=i, body_b=i + 1)
+            for i in (0, 1)
+        ],
     )
     state = one.state([(0.0, 0, 0), (1.0, 0, 0), (1.0, 1.0, 0)])
     finals = [rb.rollout(scene, state, dt=0.01, steps=50).final for scene in (one, many)]

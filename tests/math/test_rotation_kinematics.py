@@ -1,5 +1,7 @@
 """How rotations change in time: the derivative maps in both frames, the exponential, the Cayley map, interpolation."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -150,7 +152,7 @@ def test_slerp_turns_at_a_constant_rate(interpolation, tolerance):
     _, start, end, between = interpolation
     fractions = np.linspace(0, 1, 9)
     points = [between(start, end, f) for f in fractions]
-    steps = np.stack([(a.inverse() @ b).log() for a, b in zip(points, points[1:], strict=False)])
+    steps = np.stack([(a.inverse() @ b).log() for a, b in itertools.pairwise(points)])
     assert largest(steps - steps[:1]) < tolerance(float64=1e-14, float32=3e-6)
 
 

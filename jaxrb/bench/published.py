@@ -1,0 +1,80 @@
+"""Figures that others published, with their source beside each. Carried over as data; nothing here is computed."""
+
+import dataclasses
+
+_NESC = "NASA/TM-2015-218675, check case 2; data in simupy-flight's NESC_data"
+_GAZEBO = "scpeters/benchmark, BENCHMARK_boxes_dt.csv, complex, 1 box"
+_OURS = "measured with MuJoCo 4.0 (and MJX of that version) on this test; reproduced by this command where installed"
+
+
+@dataclasses.dataclass(frozen=True)
+class Published:
+    """One result as its authors give it: who, in which setting, the figures by name, and where it stands."""
+
+    who: str
+    setting: str
+    figures: dict[str, float]
+    source: str
+
+
+def _rate(who: str, setting: str, error: float, energy: float, source: str) -> Published:
+    # The figures of MuJoCo and MJX are those at the end, where MuJoCo's error has passed its largest value.
+    figures = {"body_rate_deg_s" if source is _NESC else "body_rate_end_deg_s": error}
+    return Published(who, setting, figures if energy == 0.0 else figures | {"energy": energy}, source)
+
+
+TUMBLING_BRICK = tuple(
+    _rate(*row)
+    for row in (
+        ("NASA SIM 1", "", 3.6e-10, 0.0, _NESC),
+        ("NASA SIM 2", "", 1.24e-3, 0.0, _NESC),
+        ("NASA SIM 4", "", 3.3e-10, 0.0, _NESC),
+        ("NASA SIM 5", "", 5.8e-5, 0.0, _NESC),
+        ("NASA SIM 6", "", 4.7e-3, 0.0, _NESC),
+        ("MuJoCo Euler", "dt 0.01", 0.406, 9.4e-3, _OURS),
+        ("MuJoCo implicitfast", "dt 0.01", 0.395, 9.0e-3, _OURS),
+        ("MuJoCo RK4", "dt 0.01", 2.4e-10, 0.0, _OURS),
+        ("MJX Euler", "dt 0.01", 0.406, 9.4e-3, _OURS),
+        ("MJX implicitfast", "dt 0.01", 0.406, 9.4e-3, _OURS),
+        ("MJX RK4 float32", "dt 0.01", 2.0e-4, 0.0, _OURS),
+        ("MJX RK4 float64", "dt 0.01", 4.3e-9, 0.0, _OURS),
+    )
+)
+
+
+def _box(
+    who: str, dt: str, position: float, angular_momentum: float, energy: float, source: str
+) -> Published:
+    figures = {"position_m": position, "angular_momentum": angular_momentum, "energy": energy}
+    return Published(who, f"dt {dt}", figures, source)
+
+
+GAZEBO_BOXES = tuple(
+    _box(*row)
+    for row in (
+        ("ODE", "1e-4", 0.0049, 1.2715e-3, 1.24711e-3, _GAZEBO),
+        ("Bullet", "1e-4", 0.0049, 1.25827e-3, 1.3586e-3, _GAZEBO),
+        ("Simbody", "1e-4", 0.00245, 6.34808e-4, 6.2358e-4, _GAZEBO),
+        ("DART", "1e-4", 0.0049, 2.229, 2.69e-2, _GAZEBO),
+        ("MuJoCo RK4", "1e-4", 4.1e-10, 3.4e-14, 1.7e-10, _OURS),
+        ("ODE", "1e-3", 0.049, 1.30708e-2, 1.2462e-2, _GAZEBO),
+        ("Bullet", "1e-3", 0.049, 1.24501e-2, 1.35771e-2, _GAZEBO),
+        ("Simbody", "1e-3", 0.0245, 6.43471e-3, 6.23355e-3, _GAZEBO),
+        ("DART", "1e-3", 0.049, 2.186, 3.76e-2, _GAZEBO),
+        ("MuJoCo RK4", "1e-3", 4.0e-11, 2.7e-11, 1.7e-11, _OURS),
+    )
+)
+
+# The end values that any correct program must reach: deg/s and wxyz at 30 s; rad/s and wxyz at 10 s; at t = 10.
+TUMBLING_BRICK_END = {
+    "angular_velocity_deg_s": (12.61839078, -17.39747476, 31.11958889),
+    "orientation": (-0.88114719, 0.47018253, 0.01172825, 0.04868754),
+}
+GAZEBO_BOX_END = {
+    "angular_velocity": (2.7558404, -3.73596352, -3.161809),
+    "orientation": (0.22516456, -0.61992756, -0.27702915, 0.69874572),
+    "energy_at_start": 368.5464125,
+}
+# E. Hairer, S. P. Nørsett, G. Wanner, "Solving Ordinary Differential Equations I", II.0; SciMLBenchmarks, "Rigid body".
+# The benchmark publishes curves, not numbers; what it publishes is the problem.
+RIGID_BODY_END = (-0.66886242, -0.5876984, 2.01077739)
