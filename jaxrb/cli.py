@@ -29,7 +29,7 @@ def demo(
     print(json_text.dumps(found) if json else demonstration.report(found, output))
 
 
-def bench(*, json: bool = False) -> None:
+def bench(*, planner: bool = False, json: bool = False) -> None:
     """Speed on this machine: start-up, cost of a step, cost of a gradient; the goals beside the figures.
 
     CPU time of this process, medians; on a shared machine compare figures of one run only.
@@ -37,20 +37,30 @@ def bench(*, json: bool = False) -> None:
     Example: taskset -c 0 jaxrb bench
 
     Args:
+        planner: instead, the time of the planner's picks over the best that a fine search finds, on a grid of scenes
+            and tolerances (some minutes).
         json: print one JSON object instead of a table.
     """
     from tqdm import tqdm
 
+    from jaxrb.bench import planner as picks
     from jaxrb.bench import workloads
     from jaxrb.tables import table
 
-    found = list(tqdm(workloads.rows(), disable=not sys.stderr.isatty(), leave=False, unit=" rows"))
+    rows = picks.rows() if planner else workloads.rows()
+    found = list(tqdm(rows, disable=not sys.stderr.isatty(), leave=False, unit=" rows"))
     machine = workloads.machine()
     if json:
         print(json_text.dumps({"machine": machine, "rows": found}))
         return
     print(", ".join(f"{key} {value}" for key, value in machine.items()))
     print(table(found))
+    if planner:
+        share = 100 * picks.share_within(found)
+        print(
+            f"{share:.0f} % of the picks are within {picks.GOAL_RATIO} times the best; the goal is "
+            f"{100 * picks.GOAL_SHARE:.0f} %."
+        )
 
 
 def _fit_command() -> Any:

@@ -17,7 +17,7 @@ if os.environ.get("JAXRB_CHECK_SHAPES") == "1":
     # Before anything of jaxrb is imported, or the hook finds its modules already loaded and checks nothing.
     from jaxtyping import install_import_hook
 
-    install_import_hook("jaxrb", "beartype.beartype")
+    install_import_hook("jaxrb", "shape_checks.checked")
 
 ORACLE = pathlib.Path(__file__).resolve().parent.parent.parent / "shared" / "oracle"
 

@@ -36,6 +36,7 @@ DEGENERATE = {
     "slender": ((10, 1, 0.5), (1e-6, 1, 1 + 5e-7), 2.0),
     "fast": ((300, 900, 200), (1, 2, 3), 0.02),
     "short time": ((0.3, 0.9, 0.2), (3, 1, 2), 1e-5),
+    "a small turn": ((0.3, 0.9, 0.2), (3, 1, 2), 0.3),
     "into the past": ((0.3, 0.9, 0.2), (2, 3, 1), -7.0),
 }
 
@@ -157,6 +158,15 @@ def test_gradient_where_formulas_degenerate(name, flown, dtype, tolerance):
         error <= np.maximum(tolerance(float64=1e-8, float32=2e-3) * scale, scale.max() * np.finfo(dtype).eps)
     ).all()
     assert error.max() <= tolerance(float64=1e-11, float32=2e-3) * scale.max()
+
+
+def test_spin_about_the_middle_axis_stays_for_ever(flown, tolerance):
+    """The exact separatrix has no period: a closed form that gives it one turns the body over in the end."""
+    value, jacobian = (part[0] for part in flown([row((0, 1, 0), (1, 2, 3), 2000.0)]))
+    end = np.array([np.cos(1000.0), 0, np.sin(1000.0), 0])
+    assert rb.attitude_error(value[:4], end) <= tolerance(float64=1e-12, float32=1e-3)
+    assert value[4:].tolist() == [0.0, 1.0, 0.0]
+    assert np.isfinite(jacobian).all()
 
 
 def test_never_nan(flown, dtype):

@@ -117,9 +117,9 @@ def judge_of(scene: Scene, state: State, duration: float, tolerance: float) -> J
                 break
             coarse, steps = fine, 2 * steps
     raise InvalidInput(
-        f"plan: the tolerance {tolerance:g} cannot be verified: halving the step of Runge–Kutta 4 in float64 stops helping "
-        f"at a difference of {best:.1g} ({steps} steps over {duration:g} s); ask for {40 * best:.1g} or more, or a "
-        "shorter run"
+        f"plan: the tolerance {tolerance:g} cannot be verified: halving the step of Runge–Kutta 4 in float64 stops "
+        f"helping at a difference of {best:.1g} ({steps} steps over {duration:g} s); ask for {40 * best:.1g} or more, "
+        "or a shorter run"
     )
 
 

@@ -1,6 +1,5 @@
 """Plans that are known already: in memory always, in a folder of the user's own when asked."""
 
-import dataclasses
 import hashlib
 import json
 import os
@@ -52,16 +51,18 @@ def recall(
         return None
     try:
         stored = json.loads(file.read_text())
-        fields = {f.name: f for f in dataclasses.fields(Evidence)}
-        evidence = tuple(
-            Evidence(**{k: tuple(map(tuple, v)) if k == "pilots" else v for k, v in e.items() if k in fields})
-            for e in stored.pop("evidence")
-        )
+        evidence = tuple(_evidence(one) for one in stored.pop("evidence"))
         plan = Plan(**stored | {"method": candidates[stored["method"]], "evidence": evidence})
     except (ValueError, TypeError, KeyError, IndexError, OSError):
         return None
     _KNOWN[asked] = plan
     return plan
+
+
+def _evidence(stored: dict[str, Any]) -> Evidence:
+    stored.pop("seconds_per_step")
+    pilots = tuple((int(steps), float(error)) for steps, error in stored.pop("pilots"))
+    return Evidence(pilots=pilots, **stored)
 
 
 def keep(

@@ -32,7 +32,7 @@ from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.scene.scene import Scene, check_fit
 from jaxrb.scene.settings import check_tolerance
 
-# A method is not even compiled where it could not win if it cost this part of a Runge–Kutta step (first order: the other)
+# A method is not even compiled where it could not win if it cost this part of a Runge–Kutta step (the other at order 1)
 # and its error constant were this part of what the motion suggests. Measured costs: 0.8 and more, and 0.1.
 _CHEAPEST_STEP, _CHEAPEST_EULER_STEP, _SMALLEST_CONSTANT = 0.3, 0.1, 0.03
 _HOPELESS = 2.0  # a pilot is given up where it needs so many times the best time

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.body import diagnostics
-from jaxrb.body.state import State
+from jaxrb.body.state import State, finite_per_body
 from jaxrb.effects.gravity import UniformGravity
 from jaxrb.errors import RunFailed
 from jaxrb.integrators.method import Method
@@ -134,13 +134,16 @@ def extrapolated(coarse: State, fine: State) -> State:
 
 
 def errors(scene: Scene, state: State, exact: State) -> Errors:
-    """How an end state of any representation and precision differs from the right one; computed in float64."""
+    """How an end state of any representation and precision differs from the right one; computed in float64.
+
+    All are infinite where the state is not finite: an angle computed from NaN could look like no error at all.
+    """
     with jax.enable_x64(True):
         return Errors(*(float(x) for x in _errors(scene, in_float64(state), in_float64(exact))))
 
 
 @jax.jit
-def _errors(scene: Scene, state: State, exact: State) -> tuple[Scalar, Scalar, Scalar]:
+def _errors(scene: Scene, state: State, exact: State) -> tuple[Scalar, ...]:
     attitude = jnp.max(exact.orientation.angle_to(state.orientation))
     position = jnp.max(jnp.linalg.norm(state.position - exact.position, axis=-1))
     right = energy(scene, exact)
@@ -148,7 +151,8 @@ def _errors(scene: Scene, state: State, exact: State) -> tuple[Scalar, Scalar, S
     # Potential energy has an arbitrary zero: where the total vanishes, the kinetic part gives the scale.
     scale = jnp.maximum(jnp.abs(right), moving)
     relative = jnp.abs(energy(scene, state) - right) / jnp.where(scale > 0, scale, 1.0)
-    return attitude, position, relative
+    finite = jnp.all(finite_per_body(state))
+    return tuple(jnp.where(finite, error, jnp.inf) for error in (attitude, position, relative))
 
 
 def in_float64(state: State) -> State:

@@ -179,7 +179,7 @@ def applicable(representation: type[Rotation]) -> list[Method]:
 
 def work_precision(
     example: Example,
-    representations: Sequence[str] = ("quaternion", "matrix"),
+    representations: Sequence[str] = ("quaternion",),
     precisions: Sequence[str] = ("float64", "float32"),
     levels: int = 6,
     progress: Callable[[Sequence[Any]], Iterator[Any]] = iter,

@@ -35,7 +35,7 @@ def _bar(unit: str) -> Any:
 def work_precision(
     scene: str,
     *,
-    representations: tuple[Literal["quaternion", "matrix", "euler"], ...] = ("quaternion", "matrix"),
+    representations: tuple[Literal["quaternion", "matrix", "euler"], ...] = ("quaternion",),
     precisions: tuple[Literal["float64", "float32"], ...] = ("float64", "float32"),
     levels: int = 6,
     front: bool = False,
@@ -48,7 +48,7 @@ def work_precision(
     "*" marks the points that nothing cheaper matches in attitude; "≤" an error that the reference cannot resolve.
 
     Example: jaxrb work-precision heavy_top --figure heavy_top.png
-    Example: jaxrb work-precision my_scene.py --representations quaternion
+    Example: jaxrb work-precision my_scene.py --representations quaternion matrix
 
     Args:
         scene: a name (tumbling_brick, dzhanibekov, heavy_top, lagrange_top, thrown_brick, gazebo_boxes,

@@ -3,6 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -38,9 +39,15 @@ def mujoco_version() -> str | None:
     return mujoco.__version__
 
 
+def _mujoco() -> tuple[Any, Any]:
+    import importlib
+
+    return importlib.import_module("mujoco"), importlib.import_module("mujoco.rollout")
+
+
 def mujoco_run(
     mass: float,
-    moments: Sequence[float],
+    moments: np.ndarray,
     velocity: Sequence[float],
     angular_velocity: Sequence[float],
     *,
@@ -55,9 +62,7 @@ def mujoco_run(
     `gravity` [m/s²] is along z, negative downwards. MuJoCo sorts `diaginertia` axes only for full tensors, so its body
     frame is ours.
     """
-    import mujoco
-    import mujoco.rollout
-
+    mujoco, rollout = _mujoco()
     text = " ".join(repr(float(moment)) for moment in moments)
     model = mujoco.MjModel.from_xml_string(
         _MODEL.format(dt=dt, integrator=integrator, gravity=gravity, mass=float(mass), moments=text)
@@ -67,12 +72,12 @@ def mujoco_run(
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     first = np.empty(mujoco.mj_stateSize(model, kind))
     mujoco.mj_getState(model, data, first, kind)
-    costs, states = [], np.empty((1, 0, first.size))
+    costs, states = [], None
     for _ in range(repeats):
         cpu, wall = time.process_time(), time.perf_counter()
-        states, _ = mujoco.rollout.rollout(model, data, first[None], nstep=steps)
+        states, _ = rollout.rollout(model, data, first[None], nstep=steps)
         costs.append((time.process_time() - cpu, time.perf_counter() - wall))
-    path = np.concatenate([first[None], states[0]])  # time, qpos (7), qvel (6)
+    path = np.concatenate([first[None], np.asarray(states)[0]])  # time, qpos (7), qvel (6)
     cpu_seconds, wall_seconds = np.median(costs, axis=0)
     return PeerRun(
         path[:, 1:4], path[:, 4:8], path[:, 8:11], path[:, 11:14], float(cpu_seconds), float(wall_seconds)

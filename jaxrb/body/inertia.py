@@ -211,10 +211,6 @@ class InertiaSolver(eqx.Module):
         """ω̇ [rad/s²]; None stands for a torque, or an acceleration, that is zero by type."""
         raise NotImplementedError
 
-    def without(self, momentum: Vector) -> Vector:
-        """ω of an angular momentum Iω in the body frame, rounded so that there and back has no bias where it can."""
-        return self.response(momentum)
-
     def inverse_invariants(self) -> tuple[Scalar, Scalar, Scalar]:
         """Trace, sum of principal minors and determinant of I⁻¹."""
         raise NotImplementedError
@@ -289,10 +285,6 @@ class PrincipalSolver(InertiaSolver):
 
     def response(self, torque: Vector) -> Vector:
         return stack(*(i * t for i, t in zip(components(self.inverse), components(torque), strict=True)))
-
-    def without(self, momentum: Vector) -> Vector:
-        moments = components(self.inertia.moments)
-        return stack(*(m / i for m, i in zip(components(momentum), moments, strict=True)))
 
     def inverse_invariants(self) -> tuple[Scalar, Scalar, Scalar]:
         p, q, r = components(self.inverse)

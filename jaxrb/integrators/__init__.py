@@ -10,6 +10,6 @@ from jaxrb.integrators.names import METHODS as METHODS
 from jaxrb.integrators.names import method_of as method_of
 from jaxrb.integrators.runge_kutta import RungeKutta4 as RungeKutta4
 from jaxrb.integrators.semi_implicit import SemiImplicitEuler as SemiImplicitEuler
-from jaxrb.integrators.verlet import VelocityVerlet as VelocityVerlet
 from jaxrb.integrators.three_axis_splitting import ThreeAxisSplitting as ThreeAxisSplitting
 from jaxrb.integrators.three_axis_splitting import ThreeAxisSplitting4 as ThreeAxisSplitting4
+from jaxrb.integrators.verlet import VelocityVerlet as VelocityVerlet

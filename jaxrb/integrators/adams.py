@@ -1,8 +1,8 @@
 """Stabilised explicit Adams stepping: one evaluation of the equations of motion a step, at order 6 to 12.
 
-The derivatives of the last k steps lie in a ring; a step adds their weighted sum to the state and overwrites the oldest.
-Everything that moves is one array of rows (rows, n), one column a body: on XLA's CPU a step is then two loops over
-whole rows, 7 ns where a tuple of components costs 18–30. Fixed steps, fixed memory.
+The derivatives of the last k steps lie in a ring; a step adds their weighted sum to the state and overwrites the
+oldest. Everything that moves is one array of rows (rows, n), one column a body: on XLA's CPU a step is then two loops
+over whole rows, 7 ns where a tuple of components costs 18–30. Fixed steps, fixed memory.
 (Adams–Bashforth: Hairer, Nørsett, Wanner, "Solving Ordinary Differential Equations I", 1993, section III.1.)
 """
 
@@ -179,8 +179,8 @@ def stepped(
     step = span / jnp.asarray(first + scheme.nodes * cycles, rows.dtype)
     begun = started(field, rows, time, step, scheme)
 
-    def cycle(number: Array, carry: tuple) -> tuple:
-        return turn(field, *carry, time, step, first + number * scheme.nodes, scheme)
+    def cycle(number: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        return turn(field, carry[0], carry[1], time, step, first + number * scheme.nodes, scheme)
 
     if isinstance(cycles, int):
         body = jax.checkpoint(lambda carry, number: (cycle(number, carry), carry), prevent_cse=False)
@@ -192,30 +192,35 @@ def stepped(
     if times is None:
         return *lax.fori_loop(0, cycles, cycle, begun), None
 
-    def saving_cycle(number: Array, carry: tuple) -> tuple:
-        rows, ring, count, saved = carry
-        rows, ring = cycle(number, (rows, ring))
-        return rows, ring, *_saved(rows, ring, number + 1, number + 1 == cycles, count, saved)
+    return _saving(cycle, begun, time, step, cycles, scheme, times)
 
-    def _saved(rows: Array, ring: Array, turns: Any, last: Any, count: Array, saved: Array) -> tuple:
-        now = time + (first + turns * scheme.nodes) * step
+
+def _saving(
+    cycle: Any, begun: tuple, time: Scalar, step: Scalar, cycles: Array, scheme: Scheme, times: Array
+) -> tuple[Array, Array, Array]:
+    """The cycles, and after each the rows at the times that it has passed."""
+    count = times.shape[0]
+
+    def save_due(rows: Array, ring: Array, turns: Any, is_last: Any, done: Array, saved: Array) -> tuple:
+        now = time + (scheme.nodes - 1 + turns * scheme.nodes) * step
 
         def due(carry: tuple) -> Array:
-            return (carry[0] < times.shape[0]) & (
-                last | (times[jnp.minimum(carry[0], times.shape[0] - 1)] <= now)
-            )
+            return (carry[0] < count) & (is_last | (times[jnp.minimum(carry[0], count - 1)] <= now))
 
         def save(carry: tuple) -> tuple:
-            count, saved = carry
-            return count + 1, _written(
-                saved, count, between(rows, ring, step, (times[count] - now) / step, scheme)
-            )
+            done, saved = carry
+            value = between(rows, ring, step, (times[done] - now) / step, scheme)
+            return done + 1, _written(saved, done, value)
 
-        return lax.while_loop(due, save, (count, saved))
+        return lax.while_loop(due, save, (done, saved))
 
-    saved = jnp.zeros((times.shape[0], *rows.shape), rows.dtype)
-    count, saved = _saved(*begun, 0, False, jnp.zeros((), jnp.int32), saved)
-    rows, ring, _, saved = lax.fori_loop(0, cycles, saving_cycle, (*begun, count, saved))
+    def body(number: Array, carry: tuple) -> tuple:
+        rows, ring = cycle(number, carry[:2])
+        return rows, ring, *save_due(rows, ring, number + 1, number + 1 == cycles, *carry[2:])
+
+    saved = jnp.zeros((count, *begun[0].shape), begun[0].dtype)
+    first = save_due(*begun, 0, False, jnp.zeros((), jnp.int32), saved)
+    rows, ring, _, saved = lax.fori_loop(0, cycles, body, (*begun, *first))
     return rows, ring, saved
 
 

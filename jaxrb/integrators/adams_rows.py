@@ -16,8 +16,36 @@ from jaxrb.math.stacking import components, stack, stack_p, unstack_p
 
 # Primitives that treat every number of equally shaped arguments alike.
 _ELEMENTWISE = frozenset(
-    "add sub mul div neg sqrt rsqrt square integer_pow pow exp log sin cos tan tanh abs sign max min select_n eq ne lt "
-    "le gt ge and or not convert_element_type stop_gradient copy add_any".split()
+    (
+        *(
+            "add",
+            "add_any",
+            "sub",
+            "mul",
+            "div",
+            "neg",
+            "abs",
+            "sign",
+            "max",
+            "min",
+            "sqrt",
+            "rsqrt",
+            "square",
+        ),
+        *(
+            "pow",
+            "integer_pow",
+            "exp",
+            "log",
+            "sin",
+            "cos",
+            "tan",
+            "tanh",
+            "select_n",
+            "convert_element_type",
+        ),
+        *("eq", "ne", "lt", "le", "gt", "ge", "and", "or", "not", "stop_gradient", "copy"),
+    )
 )
 _INLINED = ("jit", "pjit", "closed_call", "core_call")
 

@@ -142,7 +142,6 @@ _STARTERS: dict[int, tuple[tuple[tuple[float, ...], ...], tuple[float, ...]]] = 
         ),
         (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
     ),
-    # fmt: off
     8: (
         (
             (),
@@ -223,5 +222,4 @@ _STARTERS: dict[int, tuple[tuple[tuple[float, ...], ...], tuple[float, ...]]] = 
             0.04471061572777259,
         ),
     ),
-    # fmt: on
 }

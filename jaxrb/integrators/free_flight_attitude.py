@@ -19,7 +19,6 @@ import numpy as np
 from jaxrb.integrators.free_flight_motion import Clock, Motion, divided
 from jaxrb.math.arrays import Scalar, stack
 from jaxrb.math.quaternion import product
-from jaxrb.math.safe import normalise
 
 
 class Lanes(NamedTuple):
@@ -133,10 +132,14 @@ def attitude(motion: Motion, orbit: Orbit, psi: Scalar) -> jax.Array:
     half = stack(jnp.zeros_like(psi), 0.5 * psi)
     cosine, sine = jnp.cos(half), jnp.sin(half)
     c, s = cosine * c - sine * s, sine * c + cosine * s
-    # p(n) = [|L| + L_e, L × e], here not of length one.
+    # p(n) = [|L| + L_e, L × e] over its length; at rest, or where L² is no normal number, no rotation at all.
     x, y, z = orbit.momentum
-    size = jnp.sqrt(x * x + y * y + z * z)
-    w = jnp.where(size == 0, 1.0, size + z)
+    squared = x * x + y * y + z * z
+    kind = jnp.finfo(psi.dtype)
+    rest = squared < kind.tiny / kind.eps
+    w = jnp.where(rest, 1.0, jnp.sqrt(squared) + z)
+    x, y = jnp.where(rest, 0.0, x), jnp.where(rest, 0.0, y)
+    inverse = 1.0 / jnp.sqrt(w * w + x * x + y * y)
+    w, x, y = inverse * w, inverse * x, inverse * y
     ends = stack(c * w, c * y + s * x, s * y - c * x, s * w)
-    q = product(ends[0] * np.array([1.0, -1.0, -1.0, -1.0], psi.dtype), ends[1])
-    return normalise(q)
+    return product(ends[0] * np.array([1.0, -1.0, -1.0, -1.0], psi.dtype), ends[1])

@@ -24,6 +24,7 @@ class Method(eqx.Module):
     # dt times the fastest rate of the effects must stay below this for the step to be stable.
     stability_limit: eqx.AbstractClassVar[float]
     needs_group: ClassVar[bool] = False  # True where Euler angles cannot serve
+    symmetric: ClassVar[bool] = False  # True where a step of −dt undoes a step of dt
 
     renormalise: bool = eqx.field(static=True, default=True, kw_only=True)
 
@@ -31,12 +32,17 @@ class Method(eqx.Module):
         """The state one step of `dt` [s] later, before projection."""
         raise NotImplementedError
 
+    def project(self, orientation: Rotation) -> Rotation:
+        """The orientation after a step, as an exact rotation if so asked."""
+        return orientation.renormalise() if self.renormalise else orientation
+
     def step(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None = None) -> State:
         """One whole step: advance, project, put constrained bodies in their place, count the time."""
         with jax.named_scope(type(self).__name__):
             new = self.advance(dynamics, state, dt, torque)
-        orientation = new.orientation.renormalise() if self.renormalise else new.orientation
-        done = State(new.position, orientation, new.velocity, new.angular_velocity, state.time + dt)
+        done = State(
+            new.position, self.project(new.orientation), new.velocity, new.angular_velocity, state.time + dt
+        )
         return dynamics.complete(done)
 
 

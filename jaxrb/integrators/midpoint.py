@@ -25,6 +25,7 @@ class ImplicitMidpoint(Method):
     order: ClassVar[int] = 2
     stability_limit: ClassVar[float] = 1.0
     needs_group: ClassVar[bool] = True
+    symmetric: ClassVar[bool] = True
     sweeps: int = eqx.field(static=True, default=5)
 
     def advance(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None) -> State:

@@ -54,8 +54,8 @@ class MoserVeselov(Splitting):
             assert isinstance(inertia, FullSolver)
             tangent = _full(inertia, momentum, dt, stretch, shift, self.rounds)
         increment = Quaternion.of_tangent(tangent)
-        later = increment.unrotate(momentum)
-        return increment, inertia.without(later)
+        # ω + I⁻¹ (change of the momentum): one rounding a step, where I⁻¹ of the new momentum has a bias.
+        return increment, omega + inertia.response(increment.unrotation_change(momentum))
 
 
 class MoserVeselov4(MoserVeselov):

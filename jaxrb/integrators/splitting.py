@@ -13,6 +13,7 @@ from jaxrb.effects.effect import Wrench
 from jaxrb.integrators.method import Method, advanced
 from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.math.quaternion import Quaternion
+from jaxrb.math.rotation import Rotation
 
 Pairs = tuple[tuple[float, float], ...]
 
@@ -77,7 +78,9 @@ class Splitting(Method):
     def advance(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None) -> State:
         wrench = dynamics.wrench(state, torque)
         if wrench.force is None and wrench.torque is None:
-            return _flown(state, dt, *self.turn_freely(dynamics.inertia, state.angular_velocity, dt))
+            return _flown(
+                state, dt, self.renormalise, *self.turn_freely(dynamics.inertia, state.angular_velocity, dt)
+            )
         if len(self.parts) == 1:
             return self._substep(dynamics, state, dt * self.parts[0][0], dt * self.parts[0][1], torque)
         # A scan: unrolled, six substeps take six times as long to compile.
@@ -86,23 +89,26 @@ class Splitting(Method):
             lambda s, pair: (self._substep(dynamics, s, pair[0], pair[1], torque), None), state, spans
         )[0]
 
+    def project(self, orientation: Rotation) -> Rotation:
+        return orientation  # each flight has projected it already, in the same sum
+
     def _substep(
         self, dynamics: Dynamics, state: State, first: Scalar, second: Scalar, torque: Vector | None
     ) -> State:
         start = _kicked(dynamics, state, dynamics.wrench(state, torque), first)
         turned = self.turn(dynamics.inertia, start.angular_velocity, first, second)
-        flown = dynamics.complete(_flown(start, first + second, *turned))
+        flown = dynamics.complete(_flown(start, first + second, self.renormalise, *turned))
         end = flown
         for _ in range(self.sweeps):
             end = _kicked(dynamics, flown, dynamics.wrench(end, torque), second)
         return end
 
 
-def _flown(state: State, span: Scalar, increment: Quaternion, omega: Vector) -> State:
+def _flown(state: State, span: Scalar, renormalise: bool, increment: Quaternion, omega: Vector) -> State:
     """The state after uniform motion for `span` while the body turned."""
     return State(
         advanced(state.position, span, state.velocity),
-        state.orientation @ type(state.orientation).from_rotation(increment),
+        state.orientation.turned(increment.wxyz, renormalise=renormalise),
         state.velocity,
         omega,
         state.time + span,

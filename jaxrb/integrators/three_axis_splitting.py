@@ -70,33 +70,38 @@ def _principal(inertia: PrincipalSolver, omega: Vector, pairs: list) -> tuple[Qu
     def back(x: Any) -> list[jax.Array]:
         return _rolled(second, first, x)
 
-    moments, (ja, jb, jc) = rolled(components(inertia.inertia.moments)), rolled(inverse)
-    momentum = [i * w for i, w in zip(moments, rolled(components(omega)), strict=True)]
+    (ja, jb, jc), spin = rolled(inverse), components(omega)
+    momentum = [i * w for i, w in zip(rolled(components(inertia.inertia.moments)), rolled(spin), strict=True)]
     total = functools.reduce(operator.add, [part for pair in pairs for part in pair])
     turned = components(turn(stack(*(total * jc * m for m in momentum))))
+    change = [jnp.zeros_like(m) for m in momentum]
     rate_a, rate_b = ja - jc, jb - jc
     waiting = None
     for one, two in pairs:
         span = one if waiting is None else one + waiting
-        turned, momentum = _about(0, span * rate_a, turned, momentum)
-        turned, momentum = _about(1, (one + two) * rate_b, turned, momentum)
+        turned, change = _about(0, span * rate_a, turned, momentum, change)
+        turned, change = _about(1, (one + two) * rate_b, turned, momentum, change)
         waiting = two
-    (w, x, y, z), momentum = _about(0, waiting * rate_a, turned, momentum)
-    later = back([m / i for m, i in zip(momentum, moments, strict=True)])
-    return Quaternion(stack(w, *back((x, y, z)))), stack(*later)
+    (w, x, y, z), change = _about(0, waiting * rate_a, turned, momentum, change)
+    # ω + I⁻¹ (change of the momentum): one rounding a step, where I⁻¹ of the new momentum has a bias.
+    gain = back([j * c for j, c in zip((ja, jb, jc), change, strict=True)])
+    later = stack(*(w + g for w, g in zip(spin, gain, strict=True)))
+    return Quaternion(stack(w, *back((x, y, z)))), later
 
 
-def _about(axis: int, rate: Scalar, turned: list[jax.Array], momentum: list[jax.Array]):
-    """Turn and momentum after a rotation about one axis by rate · momentum about it."""
+def _about(
+    axis: int, rate: Scalar, turned: list[jax.Array], start: list[jax.Array], change: list[jax.Array]
+) -> tuple[list[jax.Array], list[jax.Array]]:
+    """Turn, and change of the momentum since the start, after a rotation about one axis by rate · momentum about it."""
     i, j, k = axis, (axis + 1) % 3, (axis + 2) % 3
-    angle = rate * momentum[i]
+    angle = rate * (start[i] + change[i])
+    along_j, along_k = start[j] + change[j], start[k] + change[k]
     cosine, factor = half_turn_factors(angle * angle)
     sine = factor * angle
-    # 1 − cos θ and sin θ: the small change is added to the momentum, which rounds less than a product by cos θ.
     versine, full = 2.0 * sine * sine, 2.0 * sine * cosine
-    new = list(momentum)
-    new[j] = momentum[j] + (full * momentum[k] - versine * momentum[j])
-    new[k] = momentum[k] - (full * momentum[j] + versine * momentum[k])
+    new = list(change)
+    new[j] = change[j] + (full * along_k - versine * along_j)
+    new[k] = change[k] - (full * along_j + versine * along_k)
     w, x, y, z = turned[0], turned[1 + i], turned[1 + j], turned[1 + k]
     q = list(turned)
     q[0], q[1 + i] = cosine * w - sine * x, cosine * x + sine * w
@@ -136,16 +141,16 @@ def _full(inertia: FullSolver, omega: Vector, pairs: list) -> tuple[Quaternion, 
         first, second = pair
         spans = (first, first, first + second, second, second)
         for (axis, rate), span in zip((*axes, *axes[1::-1]), spans, strict=True):
-            carry = _about_axis(axis, span * rate, *carry)
+            carry = _about_axis(axis, span * rate, momentum, *carry)
         return carry, None
 
-    carry = (turned, momentum)
+    carry = (turned, jnp.zeros_like(momentum))
     if len(pairs) == 1:
         carry, _ = substep(carry, pairs[0])
     else:
         carry, _ = lax.scan(substep, carry, jnp.stack([jnp.stack(pair) for pair in pairs]))
-    turned, momentum = carry
-    return turned, inertia.response(momentum)
+    turned, change = carry
+    return turned, omega + inertia.response(change)
 
 
 def _axes(inertia: FullSolver) -> tuple[list[tuple[Vector, Scalar]], Scalar]:
@@ -164,9 +169,10 @@ def _axes(inertia: FullSolver) -> tuple[list[tuple[Vector, Scalar]], Scalar]:
 
 
 def _about_axis(
-    axis: Vector, rate: Scalar, turned: Quaternion, momentum: Vector
+    axis: Vector, rate: Scalar, start: Vector, turned: Quaternion, change: Vector
 ) -> tuple[Quaternion, Vector]:
-    """Turn and momentum after a rotation about a fixed axis of any length by rate · (momentum along it)."""
+    """As `_about`, for a fixed axis of any direction and length."""
+    momentum = start + change
     angle = rate * dot(axis, momentum)
     step = Quaternion(turn(stack(*(angle * x for x in components(axis)))))
-    return turned @ step, step.unrotate(momentum)
+    return turned @ step, change + step.unrotation_change(momentum)

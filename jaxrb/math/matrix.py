@@ -1,12 +1,13 @@
 """Rotation matrices: columns are the body axes in the world frame, Ṙ = R ω*."""
 
+import operator
 from typing import ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxrb.math.arrays import Array, Matrix, Vector, components, entries, from_entries, stack
-from jaxrb.math.quaternion import Quaternion
+from jaxrb.math.arrays import Array, Matrix, Vector, by_components, components, entries, from_entries, stack
+from jaxrb.math.quaternion import Quaternion, less_identity
 from jaxrb.math.rotation import Drift, Rotation
 from jaxrb.math.safe import cosc, sinc
 from jaxrb.math.vector import cofactors, cross, determinant, dot, hat, matmul, matvec
@@ -70,6 +71,19 @@ class RotationMatrix(Rotation):
         gram = entries(matmul(jnp.swapaxes(x, -1, -2), x))
         factor = [[0.5 * ((3.0 if i == j else 0.0) - gram[i][j]) for j in range(3)] for i in range(3)]
         return RotationMatrix(matmul(x, from_entries(factor)))
+
+    def turned(self, wxyz: Array, *, renormalise: bool) -> "RotationMatrix":
+        # R P = R + R (P − 1), and the Newton–Schulz step is another small change, R (1 − RᵀR)/2.
+        x = self.matrix
+        small = less_identity(wxyz)
+        if renormalise:
+            gram = entries(matmul(jnp.swapaxes(x, -1, -2), x))
+            small = [
+                [small[i][j] + 0.5 * ((1.0 if i == j else 0.0) - gram[i][j]) for j in range(3)]
+                for i in range(3)
+            ]
+        change = matmul(x, from_entries(small))
+        return RotationMatrix(by_components(operator.add, x, change) if x.ndim == 3 else x + change)
 
     def polar(self, iterations: int = 6) -> "RotationMatrix":
         """The nearest rotation matrix, by Higham's scaled Newton iteration X ← (gX + X⁻ᵀ/g)/2.

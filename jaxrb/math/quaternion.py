@@ -101,6 +101,11 @@ class Quaternion(Rotation):
         w, x, y, z = components(self.wxyz)
         return _rotate([-w, x, y, z], v)
 
+    def unrotation_change(self, v: Vector) -> Vector:
+        """Rᵀ v − v without cancellation: for small rotations of full relative precision."""
+        w, x, y, z = components(self.wxyz)
+        return stack(*_rotation_change([-w, x, y, z], v))
+
     def derivative(self, angular_velocity: Vector) -> "Quaternion":
         # q̇ = ½ q [0, ω_B]; the half goes on ω, three products instead of four.
         w, x, y, z = components(self.wxyz)
@@ -124,20 +129,25 @@ class Quaternion(Rotation):
         inverse = 1.0 / jnp.sqrt(w * w + x * x + y * y + z * z)
         return Quaternion(stack(*(part * inverse for part in parts)))
 
+    def turned(self, wxyz: Array, *, renormalise: bool) -> "Quaternion":
+        # q p = q + q (p − 1); the rounding of p₀ − 1 lies along q itself and is projected away.
+        parts = components(self.wxyz)
+        w, x, y, z = parts
+        p0, p1, p2, p3 = components(wxyz)
+        scale = p0 - 1.0
+        if renormalise:
+            scale = scale + 0.5 * (1.0 - (w * w + x * x + y * y + z * z))
+        change = components(product(self.wxyz, stack(scale, p1, p2, p3)))
+        return Quaternion(stack(*(part + c for part, c in zip(parts, change, strict=True))))
+
     def drift(self) -> Drift:
         scale = norm(self.wxyz) - 1.0
         return Drift(scale=scale, skew=jnp.zeros_like(scale))
 
     def as_matrix(self) -> Matrix:
-        w, x, y, z = components(self.wxyz)
-        xx, yy, zz = 2 * x * x, 2 * y * y, 2 * z * z
-        xy, xz, yz, wx, wy, wz = 2 * x * y, 2 * x * z, 2 * y * z, 2 * w * x, 2 * w * y, 2 * w * z
+        small = less_identity(self.wxyz)
         return from_entries(
-            [
-                [1 - yy - zz, xy - wz, xz + wy],
-                [xy + wz, 1 - xx - zz, yz - wx],
-                [xz - wy, yz + wx, 1 - xx - yy],
-            ]
+            [[1 + e if i == j else e for j, e in enumerate(row)] for i, row in enumerate(small)]
         )
 
     def as_quaternion_array(self) -> Array:
@@ -156,13 +166,23 @@ def product(a: Array, b: Array) -> Array:
     )
 
 
+def less_identity(wxyz: Array) -> list[list[jax.Array]]:
+    """The entries of R − 1 of a unit quaternion (..., 4), to full relative precision for small rotations."""
+    w, x, y, z = components(wxyz)
+    xx, yy, zz = 2 * x * x, 2 * y * y, 2 * z * z
+    xy, xz, yz, wx, wy, wz = 2 * x * y, 2 * x * z, 2 * y * z, 2 * w * x, 2 * w * y, 2 * w * z
+    return [[-yy - zz, xy - wz, xz + wy], [xy + wz, -xx - zz, yz - wx], [xz - wy, yz + wx, -xx - yy]]
+
+
 def _rotate(q: list[jax.Array], v: Vector) -> Vector:
+    return stack(*(part + c for part, c in zip(components(v), _rotation_change(q, v), strict=True)))
+
+
+def _rotation_change(q: list[jax.Array], v: Vector) -> list[jax.Array]:
     w, x, y, z = q
     v1, v2, v3 = components(v)
     t1, t2, t3 = 2.0 * (y * v3 - z * v2), 2.0 * (z * v1 - x * v3), 2.0 * (x * v2 - y * v1)
-    return stack(
-        v1 + w * t1 + (y * t3 - z * t2), v2 + w * t2 + (z * t1 - x * t3), v3 + w * t3 + (x * t2 - y * t1)
-    )
+    return [w * t1 + (y * t3 - z * t2), w * t2 + (z * t1 - x * t3), w * t3 + (x * t2 - y * t1)]
 
 
 def attitude_error(a: Array, b: Array) -> Scalar:

@@ -21,17 +21,34 @@ from jaxrb.integrators.adams import Motion, joined, stepped
 from jaxrb.integrators.adams_weights import Scheme
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.scene.scene import Scene
+from jaxrb.scene.status import sound
 
-VECTOR_WIDTH = "JAXRB_VECTOR_WIDTH"  # environment: 512, 256, … bits for XLA's CPU loops; 0 leaves XLA's own choice
+VECTOR_WIDTH = (
+    "JAXRB_VECTOR_WIDTH"  # environment: 512, 256, … bits for XLA's CPU loops; 0 leaves XLA's own choice
+)
 _CACHE_BYTES = 48 * 1024
 
 
 class Ends(eqx.Module):
     """What is left of a run: the last and the saved states, and for each body (n,) what tells its quality.
 
-    `drift`: of the orientation from a rotation, before it was projected. `roughness`: the part of the last derivatives
-    that alternates from step to step, times the step; a smooth solution has next to none.
+    states: at the times asked for, or at the two ends.
+    begun: reason code of the first state. finite: whether the last one is.
+    drift: of the orientation from a rotation, before it was projected.
+    roughness: the part of the last derivatives that alternates from step to step, times the step; a smooth solution
+        has next to none.
     """
+
+    final: State
+    states: State
+    begun: Array
+    finite: Array
+    drift: Array
+    roughness: Array
+
+
+class _Group(eqx.Module):
+    """The run of one group."""
 
     final: State
     saved: State | None
@@ -78,27 +95,47 @@ def run(
 
     With whole numbers `used` and `cycles` it can be differentiated; with traced ones it compiles once for all.
     """
+    found = _found(scene, state, torque, span, times, index, used, cycles, scheme)
+    states = found.saved
+    if states is None:
+        states = jax.tree.map(lambda first, last: jnp.stack([first, last]), state, found.final)
+    return Ends(
+        found.final, states, sound(state, True), finite_per_body(found.final), found.drift, found.roughness
+    )
+
+
+def _found(
+    scene: Scene,
+    state: State,
+    torque: Vector | None,
+    span: Scalar,
+    times: Array | None,
+    index: Array,
+    used: int | Array,
+    cycles: int | Array,
+    scheme: Scheme,
+) -> _Group:
     dynamics = scene.prepared(state.dtype)
-    if index.size == scene.count and index.shape[0] == 1:
+    if index.shape == (1, scene.count):
         return _of_group(dynamics, state, torque, span, times, cycles, scheme)
     everything = _Lanes(dynamics, state, torque)
 
-    def one(row: Array) -> Ends:
+    def one(row: Array) -> _Group:
         lanes = everything.taken(row)
         return _of_group(lanes.dynamics, lanes.state, lanes.torque, span, times, cycles, scheme)
 
     if isinstance(used, int):
-        ends = lax.map(one, index[:used])
-    else:
-        shapes = jax.eval_shape(one, index[0])
-        empty = jax.tree.map(lambda leaf: jnp.zeros((index.shape[0], *leaf.shape), leaf.dtype), shapes)
+        return _joined(lax.map(one, index[:used]), scene.count)
+    shapes = jax.eval_shape(one, index[0])
+    empty = jax.tree.map(lambda leaf: jnp.zeros((index.shape[0], *leaf.shape), leaf.dtype), shapes)
 
-        def put(number: Array, ends: Ends) -> Ends:
-            found = one(index[number])
-            return jax.tree.map(lambda all_, leaf: lax.dynamic_update_index_in_dim(all_, leaf, number, 0), ends, found)
+    def put(number: Array, groups: _Group) -> _Group:
+        def written(groups: Array, group: Array) -> Array:
+            return lax.dynamic_update_index_in_dim(groups, group, number, 0)
 
-        ends = lax.fori_loop(0, used, put, empty)
-    return _joined(ends)
+        return jax.tree.map(written, groups, one(index[number]))
+
+    return _joined(lax.fori_loop(0, used, put, empty), scene.count)
 
 
 class _Lanes(eqx.Module):
@@ -136,7 +173,7 @@ def _of_group(
     times: Array | None,
     cycles: int | Array,
     scheme: Scheme,
-) -> Ends:
+) -> _Group:
     motion = Motion.of(dynamics, state, torque)
 
     start = joined(motion.parts(state))
@@ -147,7 +184,7 @@ def _of_group(
     if saved is not None and times is not None:
         states = jax.vmap(lambda time, rows: _projected(motion.state(time, list(rows))))(times, saved)
     step = span / jnp.asarray(scheme.steps(cycles), rows.dtype)
-    return Ends(
+    return _Group(
         _projected(final),
         states,
         lax.stop_gradient(jnp.maximum(jnp.abs(drift.scale), drift.skew)),
@@ -167,21 +204,20 @@ def _roughness(ring: Array) -> Array:
     return jnp.max(jnp.abs(differences[0]), axis=0)
 
 
-def _joined(ends: Ends) -> Ends:
-    """The groups' results, (groups, …, size, …), with one axis over all bodies."""
+def _joined(groups: _Group, count: int) -> _Group:
+    """The groups' results, (groups, …, size, …), with one axis over the `count` bodies."""
 
-    def of(state: State, lead: int) -> State:
-        join = lambda leaf: jnp.moveaxis(leaf, 0, lead).reshape(*leaf.shape[1 : lead + 1], -1, *leaf.shape[lead + 2 :])  # noqa: E731
-        return State(
-            join(state.position),
-            jax.tree.map(join, state.orientation),
-            join(state.velocity),
-            join(state.angular_velocity),
-            state.time[0],
-        )
+    def of(leaf: Array, lead: int) -> Array:
+        leaf = jnp.moveaxis(leaf, 0, lead)
+        joined = leaf.reshape(*leaf.shape[:lead], -1, *leaf.shape[lead + 2 :])
+        return joined[(slice(None),) * lead + (slice(count),)]
 
-    saved = None if ends.saved is None else of(ends.saved, 1)
-    return Ends(of(ends.final, 0), saved, ends.drift.ravel(), ends.roughness.ravel())
+    def of_state(state: State, lead: int) -> State:
+        bodies = jax.tree.map(lambda leaf: of(leaf, lead), eqx.tree_at(lambda s: s.time, state, None))
+        return eqx.tree_at(lambda s: s.time, bodies, state.time[0], is_leaf=lambda leaf: leaf is None)
+
+    saved = None if groups.saved is None else of_state(groups.saved, 1)
+    return _Group(of_state(groups.final, 0), saved, of(groups.drift, 0), of(groups.roughness, 0))
 
 
 @functools.cache
@@ -203,13 +239,6 @@ def _has_avx512() -> bool:
         return "avx512f" in pathlib.Path("/proc/cpuinfo").read_text()
     except OSError:
         return False
-
-
-def bad_bodies(ends: Ends, limit: float | Array) -> tuple[Array, Array]:
-    """Per body: whether its numbers are finite, and whether it is smooth and a rotation to within `limit`."""
-    finite = finite_per_body(ends.final)
-    good = (ends.drift <= limit) & (ends.roughness <= limit)
-    return finite, good
 
 
 @functools.cache

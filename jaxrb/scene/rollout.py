@@ -15,11 +15,13 @@ from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.scene.certificate import certificate_of
 from jaxrb.scene.path import Path
+from jaxrb.scene.reversible import reversible_steps
 from jaxrb.scene.scene import Scene, check_fit
 from jaxrb.scene.settings import (
     DEFAULT_MAX_BYTES,
     ON_ERROR,
     applied_torque,
+    check_adjoint,
     check_choice,
     check_count,
     check_positive,
@@ -40,6 +42,7 @@ def rollout(
     method: Method | str = RungeKutta4(),  # noqa: B008 - an immutable value
     torque: Any = None,
     save_every: int = 1,
+    adjoint: str = "checkpoint",
     certify: bool = False,
     tolerance: float | None = None,
     on_error: str = "raise",
@@ -51,6 +54,8 @@ def rollout(
         scene, state: as for `step`.
         torque: applied body torque [N m]: (n, 3) throughout, or (steps, n, 3), one a step.
         save_every: `states` holds steps 0, k, 2k, …; `final` is always the very last state.
+        adjoint: how the reverse pass finds the states again: "checkpoint" recomputes them, "reversible" runs a
+            symmetric method backwards from the saved states, in memory that does not grow with `save_every`.
         certify: estimate the run's own error, for three quarters of its cost more: `path.certificate`.
         tolerance: the error [rad and m] that the certificate is to compare with; implies `certify`.
         on_error: "raise" `RunFailed` when a state leaves the finite numbers, or "flag" it in `path.status`. Inside
@@ -70,9 +75,10 @@ def rollout(
     if steps >= 2**31:
         raise InvalidInput(f"steps is {steps}, but one rollout counts to 2^31 − 1; continue from path.final")
     torque = applied_torque(torque, state, steps)
+    check_adjoint(adjoint, method, torque)
     warn_of_coarse_steps(scene, state, dt, method)
     times, states, final, status = _run(
-        scene, state, torque, jnp.asarray(dt, state.dtype), method, steps=steps, save_every=save_every
+        scene, state, torque, jnp.asarray(dt, state.dtype), method, steps=steps, save_every=save_every, adjoint=adjoint
     )
     certificate = None
     if certify or tolerance is not None:
@@ -96,6 +102,7 @@ def _run_steps(
     *,
     steps: int,
     save_every: int,
+    adjoint: str,
 ) -> tuple[Vector, State, State, Status]:
     dynamics = scene.prepared(state.dtype)
     start = state.time
@@ -104,18 +111,22 @@ def _run_steps(
     def one(carry: tuple, given: Vector | None) -> tuple[tuple, None]:
         state, finite_steps, done = carry
         new = method.step(dynamics, state, dt, given if varying else torque)
+        return (timed(new, done + 1), finite_steps + finite_per_body(new), done + 1), None
+
+    def timed(state: State, done: Scalar) -> State:
         # The time is counted, not added up: 1e6 additions in float32 would lose the third digit.
-        new = State(
-            new.position,
-            new.orientation,
-            new.velocity,
-            new.angular_velocity,
-            start + (done + 1).astype(dt.dtype) * dt,
-        )
-        return (new, finite_steps + finite_per_body(new), done + 1), None
+        time = start + done.astype(dt.dtype) * dt
+        return State(state.position, state.orientation, state.velocity, state.angular_velocity, time)
+
+    def advance(carry: tuple, given: Vector | None, count: int) -> tuple:
+        if adjoint == "checkpoint":
+            return _scan(one, carry, given, count)
+        state, finite_steps, done = carry
+        new, finite = reversible_steps(method, count, dynamics, state, dt, torque)
+        return timed(new, done + count), finite_steps + finite, done + count
 
     def stretch(carry: tuple, given: Vector | None) -> tuple[tuple, State]:
-        carry = _scan(one, carry, given, save_every)
+        carry = advance(carry, given, save_every)
         return carry, carry[0]
 
     saves = steps // save_every
@@ -125,14 +136,16 @@ def _run_steps(
     if torque is not None and varying:
         regular = torque[: saves * save_every].reshape(saves, save_every, *torque.shape[1:])
         rest = torque[saves * save_every :]
-    carry, saved = lax.scan(jax.checkpoint(stretch, prevent_cse=False), carry, regular, length=saves)
+    if adjoint == "checkpoint":
+        stretch = jax.checkpoint(stretch, prevent_cse=False)
+    carry, saved = lax.scan(stretch, carry, regular, length=saves)
     if steps > saves * save_every:
-        carry = _scan(one, carry, rest, steps - saves * save_every)
+        carry = advance(carry, rest, steps - saves * save_every)
     states = jax.tree.map(lambda first, later: jnp.concatenate([first[None], later]), state, saved)
     return states.time, states, carry[0], status_after(bad, carry[1], steps)
 
 
-_run = jax.jit(_run_steps, static_argnames=("steps", "save_every"))
+_run = jax.jit(_run_steps, static_argnames=("steps", "save_every", "adjoint"))
 
 
 def _scan(one: Any, carry: tuple, given: Vector | None, length: int) -> tuple:

@@ -59,6 +59,18 @@ def check_representation(method: Method, state: State) -> None:
         )
 
 
+def check_adjoint(adjoint: str, method: Method, torque: Any) -> None:
+    """Refuse to run a method backwards that cannot be."""
+    check_choice("adjoint", adjoint, ("checkpoint", "reversible"))
+    if adjoint == "reversible" and not method.symmetric:
+        raise WrongStructure(
+            f"adjoint='reversible' needs a method whose steps can be undone, such as ImplicitMidpoint; "
+            f"{type(method).__name__} is not symmetric in time: use adjoint='checkpoint'"
+        )
+    if adjoint == "reversible" and torque is not None and torque.ndim == 3:
+        raise WrongStructure("adjoint='reversible' takes a constant torque; use 'checkpoint' for one given step by step")
+
+
 def check_saved_bytes(state: State, saves: int, max_bytes: int) -> None:
     """Refuse a run whose saved states would not fit."""
     a_state = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(state))

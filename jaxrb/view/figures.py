@@ -105,7 +105,7 @@ def work_precision_figure(points: Sequence[Point], bodies: int, known: float = 0
     `known` [rad] is the uncertainty of the reference: errors below it are drawn at it, hollow. Rings mark the points
     that nothing cheaper matches.
     """
-    figure = new_figure((8.5, 5.6))
+    figure = new_figure((10.0, 5.6))
     axes = figure.subplots()
     names = dict.fromkeys((p.method, p.representation, p.precision) for p in points)
     markers = {"quaternion": "o", "rotation matrix": "s"}
@@ -143,7 +143,10 @@ def work_precision_figure(points: Sequence[Point], bodies: int, known: float = 0
         xlabel="CPU time a body for the whole run [µs]", ylabel="attitude error at the end [rad]", title=title
     )
     axes.grid(alpha=0.3, which="major")
-    axes.legend(fontsize=7 if len(names) > 10 else 8, ncols=1 + (len(names) > 14))
+    if len(names) > 12:
+        axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    else:
+        axes.legend(fontsize=8)
     return figure
 
 

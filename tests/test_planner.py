@@ -1,0 +1,144 @@
+"""The planner: its pick meets the tolerance, against a reference that it has not seen, and is near the cheapest."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+
+import jaxrb as rb
+from jaxrb.accuracy import plan_cache
+from jaxrb.accuracy.pilot import Trial, fewest_steps, predicted
+from jaxrb.accuracy.planner import plan
+from jaxrb.accuracy.reference import Errors, errors, reference
+from jaxrb.bench.planner import rows, share_within
+from jaxrb.errors import InvalidInput, WrongStructure
+from jaxrb.scene.library import example_of
+
+METHODS = ("RungeKutta4", "VelocityVerlet", "SemiImplicitEuler")
+
+
+@pytest.fixture(scope="module")
+def top():
+    return dataclasses.replace(example_of("heavy_top"), duration=3.0)
+
+
+@pytest.fixture(scope="module")
+def answer(top):
+    with jax.enable_x64(True):
+        return reference(top.scene, top.state(dtype="float64"), top.duration)
+
+
+@pytest.mark.parametrize("tolerance_exponent", [-2, -4])
+def test_pick_meets_its_tolerance(top, answer, tolerance_exponent):
+    """In either precision; the planner's own judge is another computation than the reference here."""
+    wanted = 10.0**tolerance_exponent
+    picked = plan(top.scene, top.state(), top.duration, wanted, methods=METHODS)
+    path = rb.rollout(top.scene, top.state(), dt=picked.dt, steps=picked.steps, method=picked.method)
+    assert errors(top.scene, path.final, answer.state).attitude <= 1.1 * wanted
+    assert picked.verified_error <= wanted
+    assert picked.dt * picked.steps == pytest.approx(top.duration)
+
+
+def test_pick_wastes_few_steps(top, answer):
+    """With 20 % fewer steps the tolerance is missed."""
+    with jax.enable_x64(True):
+        state = top.state()
+        picked = plan(top.scene, state, top.duration, 1e-6, methods=("RungeKutta4",))
+        fewer = int(0.8 * picked.steps)
+        path = rb.rollout(top.scene, state, dt=top.duration / fewer, steps=fewer, method=picked.method)
+    assert errors(top.scene, path.final, answer.state).attitude > 1e-6
+
+
+def test_evidence_shows_the_order_and_foretells_the_error(top):
+    with jax.enable_x64(True):
+        picked = plan(top.scene, top.state(), top.duration, 1e-6, methods=METHODS)
+    runge_kutta = next(e for e in picked.evidence if e.method == "RungeKutta4")
+    assert runge_kutta.observed_order == pytest.approx(4, abs=0.4)
+    assert runge_kutta.predicted_error == pytest.approx(runge_kutta.verified_error, rel=0.3)
+    assert runge_kutta.seconds_per_step > 0
+    by_constant = runge_kutta.error_constant * picked.dt**4
+    assert by_constant == pytest.approx(picked.verified_error, rel=1e-6)
+    euler = next(e for e in picked.evidence if e.method == "SemiImplicitEuler")
+    assert "too low an order" in euler.note
+    assert "RungeKutta4" in picked.summary()
+    assert json.loads(json.dumps(picked.as_dict()))["steps"] == picked.steps
+
+
+def test_tolerance_below_round_off_is_refused(top):
+    with pytest.raises(InvalidInput, match="cannot be verified"):
+        plan(top.scene, top.state(), top.duration, 1e-15)
+    if top.state().dtype == np.float32:
+        with pytest.raises(InvalidInput, match="use float64"):
+            plan(top.scene, top.state(), top.duration, 1e-9, methods=METHODS)
+
+
+@pytest.mark.parametrize("t1", [0.0, -1.0, np.nan])
+def test_end_before_the_start_is_refused(top, t1):
+    with pytest.raises(InvalidInput, match="later"):
+        plan(top.scene, top.state(), t1, 1e-3)
+
+
+def test_plan_does_not_run_while_traced(top):
+    with pytest.raises(WrongStructure, match="outside"):
+        jax.jit(lambda s: plan(top.scene, s, 1.0, 1e-3).steps)(top.state())
+
+
+class Law:
+    """A pilot whose error is known: C stepsᵖ over the tolerance, and nothing below a floor."""
+
+    def __init__(self, top, constant, order, floor=0.0):
+        self.scene, self.state, self.duration = top.scene, top.state(), top.duration
+        self.constant, self.order, self.floor = constant, order, floor
+
+    def trial(self, method, steps):
+        excess = self.constant / steps**self.order + self.floor
+        return Trial(steps, Errors(1e-3 * excess, 0.0, 0.0), excess)
+
+
+@pytest.mark.parametrize("order", [1, 2, 4])
+@pytest.mark.parametrize("needed", [40, 1000, 300_000])
+def test_search_finds_the_fewest_steps(top, order, needed):
+    method = {1: rb.ExplicitEuler(), 2: rb.VelocityVerlet(), 4: rb.RungeKutta4()}[order]
+    trials, good = fewest_steps(Law(top, float(needed) ** order, order), method, 1e9)
+    assert needed <= good.steps <= 1.15 * needed
+    assert len(trials) <= 8
+
+
+def test_search_gives_up_at_a_floor(top):
+    trials, good = fewest_steps(Law(top, 1e6, 2, floor=3.0), rb.VelocityVerlet(), 1e9)
+    assert good is None
+    assert max(t.steps for t in trials) < 1e7
+
+
+def test_prediction_follows_the_order():
+    trials = [Trial(100, Errors(0, 0, 0), 16.0), Trial(200, Errors(0, 0, 0), 1.1)]
+    assert predicted(trials, 200, 4) == pytest.approx(1.0)
+
+
+def test_plans_are_kept(top, tmp_path, monkeypatch):
+    """In memory; in a folder when asked, private, for the same numbers only; a damaged file counts as none."""
+    state, folder = top.state(), tmp_path / "plans"
+    settings = {"methods": ("RungeKutta4",), "cache": folder}
+    first = plan(top.scene, state, top.duration, 3e-3, **settings)
+    assert plan(top.scene, state, top.duration, 3e-3, **settings) is first
+    (file,) = folder.iterdir()
+    assert folder.stat().st_mode & 0o077 == 0
+    monkeypatch.setattr(plan_cache, "_KNOWN", {})
+    again = plan(top.scene, state, top.duration, 3e-3, **settings)
+    assert again.as_dict() == first.as_dict()
+    moved = jax.tree.map(lambda leaf: leaf * 1.01, top.scene)
+    assert plan(moved, state, top.duration, 3e-3, **settings).steps
+    assert len(list(folder.iterdir())) == 2
+    monkeypatch.setattr(plan_cache, "_KNOWN", {})
+    file.write_text("{")
+    assert plan(top.scene, state, top.duration, 3e-3, **settings).steps == first.steps
+
+
+def test_picks_are_near_the_best(dtype):
+    """One scene of the grid that `jaxrb bench --planner` runs whole."""
+    if dtype == np.float32:
+        pytest.skip("times are compared once")
+    found = list(rows(("heavy_top",), (1e-4,)))
+    assert share_within(found, 2.0) == 1.0, found
