@@ -66,6 +66,7 @@ from jaxrb.scene import (
     Scene,
     angular_momentum,
     energy,
+    free_flight,
     momentum,
     rollout,
     solve,

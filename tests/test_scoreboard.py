@@ -41,7 +41,8 @@ def test_gazebo_box_ends_where_its_exact_motion_does(ends):
     np.testing.assert_allclose(np.asarray(found.state.position)[0], thrown, rtol=1e-14)
     with jax.enable_x64(True):
         assert float(energy(example.scene, example.state())) == pytest.approx(
-            GAZEBO_BOX_END["energy_at_start"], abs=1e-7
+            GAZEBO_BOX_END["energy_at_start"],
+            abs=5e-6,  # carried over with rounded moments
         )
 
 

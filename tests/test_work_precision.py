@@ -17,6 +17,8 @@ from jaxrb.accuracy.work_precision import (
     work_precision,
 )
 from jaxrb.errors import InvalidInput, RunFailed, UnknownName, WrongStructure
+from jaxrb.integrators import METHODS
+from jaxrb.scene import Path
 from jaxrb.scene.library import SCENES, example_of
 
 
@@ -64,6 +66,10 @@ def test_state_that_is_not_finite_has_no_small_error(top, answer):
     """A run beyond stability ends in NaN, whose angle could read as zero."""
     broken = jax.tree.map(lambda leaf: leaf * np.nan, answer.state)
     assert errors(top.scene, broken, answer.state).attitude == np.inf
+    collapsed = dataclasses.replace(
+        answer.state, orientation=jax.tree.map(np.zeros_like, answer.state.orientation)
+    )
+    assert errors(top.scene, collapsed, answer.state).attitude == np.inf
 
 
 def test_error_of_attitude_position_and_energy_are_what_was_planted(top, answer):
@@ -89,21 +95,22 @@ def test_front_keeps_what_nothing_cheaper_matches():
     assert pareto(points, known=1e-9) == {0, 2, 3}  # an error below what is known does not count as smaller
 
 
-def test_work_precision_of_a_small_scene_marks_what_it_cannot_know(top):
-    short = dataclasses.replace(top, duration=1.0)
-    found = work_precision(short, precisions=("float64",), levels=1)
+def test_work_precision_marks_what_it_cannot_know(top, monkeypatch):
+    few = {name: METHODS[name] for name in ("RungeKutta4", "ImplicitMidpoint")}
+    monkeypatch.setattr("jaxrb.accuracy.work_precision.METHODS", few)
+    found = work_precision(top, precisions=("float64",), levels=1)
     assert {p.method for p in found.points} >= {"RungeKutta4", "ImplicitMidpoint"}
     assert any(p.on_front for p in found.points)
     known = found.reference.uncertainty.attitude
     assert all(p.beyond_reference == (p.attitude_error_rad < known) for p in found.points)
 
 
-def test_chaotic_motion_has_no_reference():
-    """Two springs joined in a wild tumble for long: the answer must be refused, not given."""
-    example = example_of("double_spring")
-    wild = dict(example.start) | {"angular_velocity": [(3.0, 9.0, 14.0), (-8.0, 2.0, 3.0)]}
-    with jax.enable_x64(True), pytest.raises(RunFailed, match="shorten"):
-        reference(example.scene, example.scene.state(**wild), 60.0)
+def test_references_that_disagree_are_refused(top, answer, monkeypatch):
+    """Chaos, or a wrong reference: where two computations differ there is no answer."""
+    wrong = Path(answer.state.time[None], answer.state, top.state(dtype=answer.state.dtype), None, top.scene)
+    monkeypatch.setattr("jaxrb.accuracy.reference.solve", lambda *a, **k: wrong)
+    with pytest.raises(RunFailed, match="shorten"):
+        reference(top.scene, top.state(), top.duration)
 
 
 @pytest.mark.parametrize("name", list(SCENES))

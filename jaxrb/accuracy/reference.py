@@ -136,7 +136,8 @@ def extrapolated(coarse: State, fine: State) -> State:
 def errors(scene: Scene, state: State, exact: State) -> Errors:
     """How an end state of any representation and precision differs from the right one; computed in float64.
 
-    All are infinite where the state is not finite: an angle computed from NaN could look like no error at all.
+    All are infinite where the state is not finite or its orientation is no rotation any more: an angle computed from
+    NaN, or from the zero quaternion that a run beyond stability ends in, would look like no error at all.
     """
     with jax.enable_x64(True):
         return Errors(*(float(x) for x in _errors(scene, in_float64(state), in_float64(exact))))
@@ -151,8 +152,9 @@ def _errors(scene: Scene, state: State, exact: State) -> tuple[Scalar, ...]:
     # Potential energy has an arbitrary zero: where the total vanishes, the kinetic part gives the scale.
     scale = jnp.maximum(jnp.abs(right), moving)
     relative = jnp.abs(energy(scene, state) - right) / jnp.where(scale > 0, scale, 1.0)
-    finite = jnp.all(finite_per_body(state))
-    return tuple(jnp.where(finite, error, jnp.inf) for error in (attitude, position, relative))
+    length = jnp.linalg.norm(state.orientation.as_quaternion_array(), axis=-1)
+    sound = jnp.all(finite_per_body(state) & (jnp.abs(length - 1.0) < 1e-6))
+    return tuple(jnp.where(sound, error, jnp.inf) for error in (attitude, position, relative))
 
 
 def in_float64(state: State) -> State:

@@ -37,11 +37,13 @@ FREE_BODIES = 16  # of a long run
 class LongRun:
     """Largest errors over the bodies and saved times of a long run, relative.
 
-    `energy_trend` is the slope of a straight line through the energy, times the duration; `momentum` is of the vector
-    of angular momentum in the world.
+    `energy_growth` is the largest energy error of the second half over that of the first: 2 for a steady loss, 1 for an
+    oscillation. `energy_trend` is the slope of a straight line through the energy, times the duration. `momentum` is of
+    the vector of angular momentum in the world.
     """
 
     energy: float
+    energy_growth: float
     energy_trend: float
     momentum: float
 
@@ -70,7 +72,9 @@ def long_run(
     in_world = np.einsum("knij,knj->kni", turn, in_body)
     off = np.linalg.norm(in_world - in_world[0], axis=-1) / np.linalg.norm(in_world[0], axis=-1)
     slope = np.polyfit(np.linspace(0.0, 1.0, len(energy)), energy, 1)[0]
-    return LongRun(float(np.abs(energy).max()), float(np.abs(slope).max()), float(off.max()))
+    half = len(energy) // 2
+    growth = np.abs(energy[half:]).max() / max(np.abs(energy[:half]).max(), 1e-300)
+    return LongRun(float(np.abs(energy).max()), float(growth), float(np.abs(slope).max()), float(off.max()))
 
 
 def cost(method: Method, scene: Scene, rotation: type[Rotation] = Quaternion) -> tuple[float, float]:
@@ -128,6 +132,7 @@ def long_rows(steps: int) -> Iterator[dict[str, Any]]:
             "method": name,
             "steps": steps,
             "energy": found.energy,
+            "energy growth": found.energy_growth,
             "energy trend": found.energy_trend,
             "angular momentum": found.momentum,
         }

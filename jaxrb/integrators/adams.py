@@ -216,10 +216,10 @@ def _saving(
 
     def body(number: Array, carry: tuple) -> tuple:
         rows, ring = cycle(number, carry[:2])
-        return rows, ring, *save_due(rows, ring, number + 1, number + 1 == cycles, *carry[2:])
+        return rows, ring, *save_due(rows, ring, number + 1, number + 1 == cycles, carry[2], carry[3])
 
     saved = jnp.zeros((count, *begun[0].shape), begun[0].dtype)
-    first = save_due(*begun, 0, False, jnp.zeros((), jnp.int32), saved)
+    first = save_due(begun[0], begun[1], 0, False, jnp.zeros((), jnp.int32), saved)
     rows, ring, _, saved = lax.fori_loop(0, cycles, body, (*begun, *first))
     return rows, ring, saved
 

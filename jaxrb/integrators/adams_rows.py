@@ -102,13 +102,15 @@ def _apart(equation: Any, given: list[Any], rank: int) -> Any:
     if not any(isinstance(value, _Parts) for value in given):
         return _bound(equation, given)[0]
     apart = [_parts(value) if _rank(value) == rank else None for value in given]
-    count = next(len(parts) for parts in apart if parts is not None)
+    count = max(len(parts) for parts in apart if parts is not None)
+
+    def part(value: Any, parts: Sequence[Any] | None, i: int) -> Any:
+        if parts is None:
+            return value
+        return parts[i if len(parts) > 1 else 0]  # an axis of length one holds for all parts
+
     return _Parts(
-        _apart(
-            equation,
-            [v if parts is None else parts[i] for v, parts in zip(given, apart, strict=True)],
-            rank - 1,
-        )
+        _apart(equation, [part(*pair, i) for pair in zip(given, apart, strict=True)], rank - 1)
         for i in range(count)
     )
 

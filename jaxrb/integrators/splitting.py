@@ -17,8 +17,8 @@ from jaxrb.math.rotation import Rotation
 
 Pairs = tuple[tuple[float, float], ...]
 
-# Symmetric compositions of a method of order 1 and its adjoint: the parts α₁, α₂ | α₃, α₄ | … of the step, of which each
-# pair is one substep. With an operator split in two they read a₁ = α₁, b₁ = α₁ + α₂, a₂ = α₂ + α₃, …
+# Symmetric compositions of a method of order 1 and its adjoint: the parts α₁, α₂ | α₃, α₄ | … of the step, each pair
+# one substep. With an operator split in two they read a₁ = α₁, b₁ = α₁ + α₂, a₂ = α₂ + α₃, …
 STRANG = ((0.5, 0.5),)
 
 

@@ -1,5 +1,6 @@
 """Floor 6: the public heart."""
 
+from jaxrb.scene.flight import free_flight as free_flight
 from jaxrb.scene.path import Path as Path
 from jaxrb.scene.rollout import rollout as rollout
 from jaxrb.scene.scene import Scene as Scene
