@@ -111,7 +111,7 @@ def check_quantity(
             )
 
 
-def at(bad: np.ndarray, rank: int = 0) -> str:
+def at(bad: np.ndarray | np.bool_, rank: int = 0) -> str:
     """Where the first True stands, in words: ` of body 3` for an array with a bodies axis."""
     if bad.ndim <= rank:
         return ""

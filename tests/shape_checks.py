@@ -1,20 +1,28 @@
 """The type checker that the import hook of jaxtyping puts on every function of jaxrb (see conftest.py)."""
 
-from typing import Any, Self
+import typing
+from typing import Any
 
 from beartype import BeartypeConf, beartype
+from jaxtyping import AbstractArray
 
 _CONF = BeartypeConf(is_pep484_tower=True)
 
 
 def checked(function: Any) -> Any:
-    """beartype, with two exceptions.
+    """beartype for the annotations of arrays, which is where shapes stand.
 
-    Constructors take a user's raw numbers, which are converted and checked by jaxrb itself. And `Self` is not checked:
-    the hook decorates methods one by one, where beartype cannot tell their class.
+    The others are left out: words and objects of a wrong kind are given on purpose in the tests of bad input, and must
+    get jaxrb's own message. Constructors take a user's raw numbers, which jaxrb converts and checks itself.
     """
     if function.__name__ == "__init__":
         return function
     hints = function.__annotations__
-    function.__annotations__ = {name: Any if hint is Self else hint for name, hint in hints.items()}
+    function.__annotations__ = {name: hint if _has_shape(hint) else Any for name, hint in hints.items()}
     return beartype(function, conf=_CONF)
+
+
+def _has_shape(hint: Any) -> bool:
+    if isinstance(hint, type) and issubclass(hint, AbstractArray):
+        return True
+    return any(_has_shape(part) for part in typing.get_args(hint))

@@ -35,6 +35,15 @@ from jaxrb.scene.settings import check_tolerance
 # A method is not even compiled where it could not win if it cost this part of a Runge–Kutta step (the other at order 1)
 # and its error constant were this part of what the motion suggests. Measured costs: 0.8 and more, and 0.1.
 _CHEAPEST_STEP, _CHEAPEST_EULER_STEP, _SMALLEST_CONSTANT = 0.3, 0.1, 0.03
+# Every one compiled costs one to three seconds. These won somewhere on the grid of `jaxrb bench --planner`, which
+# compares with all methods; the others never did by more than the clock's noise.
+PROMISING = (
+    "RungeKutta4",
+    "ThreeAxisSplitting4",
+    "ThreeAxisSplitting",
+    "VelocityVerlet",
+    "SemiImplicitEuler",
+)
 _HOPELESS = 2.0  # a pilot is given up where it needs so many times the best time
 
 
@@ -44,7 +53,7 @@ def plan(
     t1: float,
     tolerance: float,
     *,
-    methods: Sequence[Method | str] | None = None,
+    methods: Sequence[Method | str] | str | None = None,
     cache: str | os.PathLike | None = None,
 ) -> Plan:
     """The cheapest method and step with which a run from `state` to `t1` [s] errs by at most `tolerance` at its end.
@@ -58,7 +67,7 @@ def plan(
     Args:
         t1: later than `state.time`.
         tolerance: between 0 and 1.
-        methods: candidates; by default all that apply.
+        methods: candidates; by default those of `PROMISING` that apply, with "all" every one (more to compile).
         cache: a folder of your own that keeps plans between programs (created for you alone to read; off by default).
             Within a program plans are always kept, by machine, scene and start.
 
@@ -91,12 +100,14 @@ def _duration(scene: Scene, state: State, t1: Any) -> float:
     return duration
 
 
-def _candidates(state: State, methods: Sequence[Method | str] | None) -> list[Method]:
+def _candidates(state: State, methods: Sequence[Method | str] | str | None) -> list[Method]:
     fitting = applicable(type(state.orientation))
-    if methods is None:
+    if methods is None or methods == "all":
+        if methods is None:
+            fitting = [method for method in fitting if type(method).__name__ in PROMISING]
         # Runge–Kutta first: the others are measured against it.
         return sorted(fitting, key=lambda m: (not isinstance(m, RungeKutta4), -m.order))
-    wanted = [method_of(method) for method in methods]
+    wanted = [method_of(method) for method in ([methods] if isinstance(methods, str) else methods)]
     names = {type(method) for method in fitting}
     chosen = [method for method in wanted if type(method) in names]
     if not chosen:

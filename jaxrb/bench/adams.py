@@ -1,8 +1,8 @@
 """Heavy tops by stabilised Adams, beside heyoka's adaptive Taylor series, diffrax and RK4: error against CPU time.
 
-1000 asymmetric tops, 20 s; the error is the largest attitude error [rad] over all of them, against Adams of order 12 at
-steps so fine that only round-off is left. heyoka (https://bluescarni.github.io/heyoka.py) is optional: its rows are left
-out where it is not installed.
+1000 asymmetric tops, 20 s; the error is the largest attitude error [rad] over all of them, against Adams of order 12
+at steps so fine that only round-off is left. heyoka (https://bluescarni.github.io/heyoka.py) is optional: its rows are
+left out where it is not installed.
 """
 
 import functools

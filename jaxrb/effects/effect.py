@@ -13,7 +13,7 @@ from jaxrb.body.mass_properties import MassProperties
 from jaxrb.body.state import PER_BODY, State
 from jaxrb.checks import Checked, quantities
 from jaxrb.errors import WrongStructure
-from jaxrb.math.arrays import Scalar, Vector
+from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.vector import cross
 
 
@@ -131,7 +131,7 @@ def taken(tree: Any, index: np.ndarray) -> Any:
 def scattered(wrench: Wrench, index: np.ndarray, state: State) -> Wrench:
     """Wrenches of the chosen bodies, added up into arrays over all bodies."""
 
-    def spread(part: Vector) -> Vector:
+    def spread(part: Array) -> Array:
         return jnp.zeros((state.position.shape[0], 3), part.dtype).at[index].add(part)
 
     return jax.tree.map(spread, wrench)

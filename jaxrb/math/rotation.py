@@ -4,6 +4,7 @@ An orientation R_WB maps body coordinates to world coordinates. Angular velocity
 name says otherwise. All methods accept leading batch axes.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple, Self
 
 import equinox as eqx
@@ -110,7 +111,7 @@ class Rotation(eqx.Module):
         raise NotImplementedError
 
     @classmethod
-    def from_axis_angle(cls, axis: Vector, angle: Scalar) -> Self:
+    def from_axis_angle(cls, axis: Vector | Sequence[float], angle: Scalar) -> Self:
         """Rotation by `angle` [rad] about `axis` (..., 3), which need not have length one."""
         axis = jnp.asarray(axis)
         return cls.exp(unit_or(axis, jnp.zeros_like(axis)) * jnp.asarray(angle)[..., None])

@@ -8,7 +8,7 @@ import pytest
 import jaxrb as rb
 
 COUNT, DURATION = 200, 20.0
-METHODS = {rb.RungeKutta4: (400, 1600), rb.VelocityVerlet: (800, 6400), rb.ImplicitMidpoint: (1600, 6400)}
+METHODS = {rb.ExplicitEuler: 6400, rb.RungeKutta4: 400, rb.VelocityVerlet: 800, rb.ImplicitMidpoint: 1600}
 
 
 @pytest.fixture(scope="module")
@@ -28,38 +28,25 @@ def true_errors(end, path):
 
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda m: m.__name__)
-def test_estimate_is_within_a_factor_of_five_of_the_truth(tumblers, dtype, method):
+def test_estimate_is_within_a_factor_of_five_and_never_flatters(tumblers, dtype, method):
     if dtype == jnp.float32:
         pytest.skip("the errors of these runs lie below the round-off of float32, which is tested below")
     scene, spin, end = tumblers
-    for steps in METHODS[method]:
-        path = rb.rollout(
-            scene, scene.state(angular_velocity=spin), dt=DURATION / steps, steps=steps, save_every=steps // 8,
-            method=method(), certify=True,
-        )  # fmt: skip
-        ratio = np.asarray(path.certificate.attitude_error) / true_errors(end, path)
-        inside = np.mean((ratio > 0.2) & (ratio < 5.0))
-        print(f"{method.__name__}, {steps} steps: {inside:.1%} within a factor of 5, median ratio {np.median(ratio):.2f}")
-        assert inside >= 0.95
-
-
-@pytest.mark.parametrize("method", [rb.ExplicitEuler, *METHODS], ids=lambda m: m.__name__)
-def test_met_is_never_claimed_beyond_twice_the_tolerance(tumblers, dtype, method):
-    if dtype == jnp.float32:
-        pytest.skip("the errors of these runs lie below the round-off of float32")
-    scene, spin, end = tumblers
-    state = scene.state(angular_velocity=spin)
+    state, steps = scene.state(angular_velocity=spin), METHODS[method]
     claims = 0
-    for steps in (400, 1600):
-        for tolerance in (1e-1, 1e-2, 1e-3, 1e-5, 1e-7):
-            path = rb.rollout(
-                scene, state, dt=DURATION / steps, steps=steps, save_every=steps // 8, method=method(),
-                tolerance=tolerance, on_error="flag",
-            )  # fmt: skip
-            met = np.asarray(path.certificate.met)
-            claims += met.sum()
-            assert not np.any(met & (true_errors(end, path) > 2 * tolerance))
-    assert claims > 0 or method is rb.ExplicitEuler
+    for tolerance in (1e-1, 1e-2, 1e-3, 1e-5, 1e-7):
+        path = rb.rollout(
+            scene, state, dt=DURATION / steps, steps=steps, save_every=steps // 8, method=method(),
+            tolerance=tolerance, on_error="flag",
+        )  # fmt: skip
+        met, truth = np.asarray(path.certificate.met), true_errors(end, path)
+        claims += met.sum()
+        assert not np.any(met & (truth > 2 * tolerance))
+    ratio = np.asarray(path.certificate.attitude_error) / truth
+    inside = np.mean((ratio > 0.2) & (ratio < 5.0))
+    print(f"{method.__name__}, {steps} steps: {inside:.1%} within a factor of 5, median ratio {np.median(ratio):.2f}")
+    assert inside >= 0.95
+    assert claims > 0
 
 
 def test_energy_error_has_the_sign_of_the_drift(tumblers, tolerance):
