@@ -45,8 +45,13 @@ from jaxrb.integrators import (
     ExplicitEuler,
     ImplicitMidpoint,
     Method,
+    MoserVeselov,
+    MoserVeselov4,
+    MoserVeselov6,
     RungeKutta4,
     SemiImplicitEuler,
+    ThreeAxisSplitting,
+    ThreeAxisSplitting4,
     VelocityVerlet,
 )
 from jaxrb.io import Recording, read_recording, write_recording

@@ -21,6 +21,9 @@ from jaxrb.integrators import METHODS
 from jaxrb.scene import Path
 from jaxrb.scene.library import SCENES, example_of
 
+# A reference is a float64 number in every run; what a test does to it must be so too.
+IN_FLOAT64 = jax.enable_x64(True)
+
 
 @pytest.fixture(scope="module")
 def top():
@@ -62,6 +65,7 @@ def test_single_precision_stops_at_its_round_off(top, answer):
     assert 1e-8 < point.attitude_error_rad < 1e-4
 
 
+@IN_FLOAT64
 def test_state_that_is_not_finite_has_no_small_error(top, answer):
     """A run beyond stability ends in NaN, whose angle could read as zero."""
     broken = jax.tree.map(lambda leaf: leaf * np.nan, answer.state)
@@ -72,6 +76,7 @@ def test_state_that_is_not_finite_has_no_small_error(top, answer):
     assert errors(top.scene, collapsed, answer.state).attitude == np.inf
 
 
+@IN_FLOAT64
 def test_error_of_attitude_position_and_energy_are_what_was_planted(top, answer):
     turn = rb.Quaternion.exp(np.array([0.0, 3e-4, 4e-4]))
     planted = dataclasses.replace(
@@ -105,6 +110,7 @@ def test_work_precision_marks_what_it_cannot_know(top, monkeypatch):
     assert all(p.beyond_reference == (p.attitude_error_rad < known) for p in found.points)
 
 
+@IN_FLOAT64
 def test_references_that_disagree_are_refused(top, answer, monkeypatch):
     """Chaos, or a wrong reference: where two computations differ there is no answer."""
     wrong = Path(answer.state.time[None], answer.state, top.state(dtype=answer.state.dtype), None, top.scene)

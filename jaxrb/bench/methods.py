@@ -61,7 +61,8 @@ def long_run(
     spin /= np.linalg.norm(spin, axis=1, keepdims=True)
     scene = Scene(replicate(Body(1.0, inertia), FREE_BODIES))
     state = scene.state(angular_velocity=spin.tolist(), rotation=rotation)
-    path = rollout(scene, state, dt=dt, steps=steps, save_every=max(steps // SAVES, 1), method=method)
+    every = max(steps // SAVES, 1)
+    path = rollout(scene, state, dt=dt, steps=steps, save_every=every, method=method, on_error="flag")
     tensor = np.asarray(inertia, float)
     tensor = np.diag(tensor) if tensor.ndim == 1 else tensor
     omega = np.asarray(path.states.angular_velocity, float)
@@ -71,6 +72,8 @@ def long_run(
     turn = np.asarray(path.states.orientation.normalise().as_matrix(), float)
     in_world = np.einsum("knij,knj->kni", turn, in_body)
     off = np.linalg.norm(in_world - in_world[0], axis=-1) / np.linalg.norm(in_world[0], axis=-1)
+    if not np.isfinite(off).all():
+        return LongRun(np.inf, np.inf, np.inf, np.inf)
     slope = np.polyfit(np.linspace(0.0, 1.0, len(energy)), energy, 1)[0]
     half = len(energy) // 2
     growth = np.abs(energy[half:]).max() / max(np.abs(energy[:half]).max(), 1e-300)

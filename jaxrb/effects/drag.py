@@ -31,7 +31,8 @@ class LinearDrag(Force):
         linear = np.max(np.asarray(self.coefficient) / np.asarray(_masses(self, bodies)))
         if self.angular_coefficient is None:
             return linear
-        smallest = np.linalg.eigvalsh(inertia_matrix(bodies.inertia))[..., 0].min()
+        moments = np.linalg.eigvalsh(inertia_matrix(bodies.inertia))[..., 0]
+        smallest = (moments if self.bodies is None else moments[np.asarray(self.bodies)]).min()
         return np.maximum(linear, np.max(np.asarray(self.angular_coefficient)) / smallest)
 
 

@@ -83,7 +83,9 @@ class Force(Effect):
 
     def check(self, count: int) -> None:
         self.check_bodies(count)
-        check_shapes(self, count if self.bodies is None else len(self.bodies), "all bodies", "one value a body")
+        check_shapes(
+            self, count if self.bodies is None else len(self.bodies), "all bodies", "one value a body"
+        )
 
     def check_bodies(self, count: int) -> None:
         """Refuse `bodies` that a scene of `count` bodies does not have, or that are named twice."""
@@ -93,7 +95,9 @@ class Force(Effect):
         check_indices(name, "bodies", self.bodies, count)
         twice = [i for i in self.bodies if self.bodies.count(i) > 1]
         if twice:
-            raise WrongStructure(f"{name}.bodies: body {twice[0]} is named twice; name it once, or use two effects")
+            raise WrongStructure(
+                f"{name}.bodies: body {twice[0]} is named twice; name it once, or use two effects"
+            )
 
     def wrench_on(self, bodies: MassProperties, state: State) -> Wrench:
         with jax.named_scope(type(self).__name__):

@@ -46,7 +46,9 @@ class PrescribedTorque(Force):
         check_quantity("PrescribedTorque.times", times, unit="s")
         if is_concrete(times) and (np.diff(times) <= 0).any():
             first = np.asarray(times)[1:][np.diff(times) <= 0][0]
-            raise InvalidInput(f"PrescribedTorque.times must ascend, but {first} s does not come after the one before")
+            raise InvalidInput(
+                f"PrescribedTorque.times must ascend, but {first} s does not come after the one before"
+            )
 
     def check(self, count: int) -> None:
         if self.times is None:

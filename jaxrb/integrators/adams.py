@@ -6,90 +6,15 @@ over whole rows, 7 ns where a tuple of components costs 18–30. Fixed steps, fi
 (Adams–Bashforth: Hairer, Nørsett, Wanner, "Solving Ordinary Differential Equations I", 1993, section III.1.)
 """
 
-from collections.abc import Callable, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.body.state import State
-from jaxrb.effects.dynamics import Dynamics
-from jaxrb.integrators.adams_rows import by_rows
+from jaxrb.integrators.adams_motion import Field
 from jaxrb.integrators.adams_weights import Scheme, interpolation, ring_weights, starter
-from jaxrb.integrators.method import rates
-from jaxrb.math.arrays import Array, Scalar, Vector
-from jaxrb.math.stacking import components, stack
-
-Field = Callable[[Scalar, Array], Array]  # (time, rows) -> rates of the rows
-
-
-class Motion(eqx.Module):
-    """The equations of motion of a scene in rows: what moves is stepped, what is known beforehand is not.
-
-    Without a force nothing of the translation is stepped; without a torque on spheres only the orientation is.
-    """
-
-    dynamics: Dynamics
-    start: State
-    torque: Vector | None
-    linear: bool = eqx.field(static=True)
-    angular: bool = eqx.field(static=True)
-
-    @staticmethod
-    def of(dynamics: Dynamics, start: State, torque: Vector | None) -> "Motion":
-        """The motion from `start` under the dynamics and an applied body torque (n, 3) [N m], or None."""
-        found = jax.eval_shape(lambda: dynamics.acceleration(start, torque))
-        return Motion(dynamics, start, torque, found.linear is not None, found.angular is not None)
-
-    def parts(self, moving: Any) -> list[Array]:
-        """The moving numbers (n,) of a state, or of the rates of one."""
-        leaves = jax.tree.leaves(moving.orientation)
-        leaves += [moving.angular_velocity] if self.angular else []
-        leaves += [moving.position, moving.velocity] if self.linear else []
-        return [part for leaf in leaves for part in _flat(leaf)]
-
-    def state(self, time: Scalar, parts: Sequence[Array]) -> State:
-        """The state with these numbers, before projection; constraints put in their place."""
-        rest = iter(parts)
-        start = self.start
-        orientation = jax.tree.map(lambda leaf: _like(leaf, rest), start.orientation)
-        omega = _like(start.angular_velocity, rest) if self.angular else start.angular_velocity
-        if self.linear:
-            position, velocity = _like(start.position, rest), _like(start.velocity, rest)
-        else:
-            velocity = start.velocity
-            position = start.position + (time - start.time) * velocity
-        return self.dynamics.complete(State(position, orientation, velocity, omega, time))
-
-    def rates(self, time: Scalar, parts: Sequence[Array]) -> list[Array]:
-        """Time derivatives (n,) of the moving numbers."""
-        now = self.state(time, parts)
-        return self.parts(rates(now, self.dynamics.acceleration(now, self.torque)))
-
-    def field(self) -> Field:
-        """Time derivative of the rows (rows, n), as a function of time and rows."""
-        example = self.parts(self.start)
-        run = by_rows(lambda motion, time, parts: motion.rates(time, parts), self, self.start.time, example)
-        return lambda time, rows: joined(run(time, list(rows)))
-
-
-def joined(parts: Sequence[Array]) -> Array:
-    """Numbers (n,) as rows (rows, n)."""
-    return lax.concatenate([part[None] for part in parts], 0)
-
-
-def _flat(leaf: Array) -> list[Array]:
-    """The numbers of one body, each as (n,)."""
-    return [leaf] if leaf.ndim == 1 else [part for slice_ in components(leaf) for part in _flat(slice_)]
-
-
-def _like(leaf: Array, parts: Any) -> Array:
-    """The inverse of `_flat`: the next parts as an array shaped like `leaf`."""
-    if leaf.ndim == 1:
-        return next(parts)
-    return stack(*(_like(leaf[..., 0], parts) for _ in range(leaf.shape[-1])))
+from jaxrb.math.arrays import Array, Scalar
 
 
 @jax.custom_jvp
@@ -125,19 +50,22 @@ def started(field: Field, rows: Array, time: Scalar, step: Scalar, scheme: Schem
     table = jnp.asarray(jnp.concatenate([stages[1:], weights[None]]) - stages, rows.dtype) * step
     offset = jnp.asarray(stages.sum(1), rows.dtype)
 
-    def one(carry: tuple, index: Array) -> tuple[tuple, Array]:
+    def one(carry: tuple, at: tuple) -> tuple[tuple, Array]:
         def stage(carry: tuple, at: tuple) -> tuple[tuple, None]:
             rows, slopes = carry
-            number, changes, after = at
-            slopes = _written(slopes, number, field(time + (index + after) * step, rows))
+            number, changes, now, scheduled = at
+            slopes = _written(slopes, number, field(now, scheduled, rows))
             return (rows + weighted_sum(changes, slopes), slopes), None
 
-        carry, _ = lax.scan(stage, carry, (jnp.arange(count), table, offset))
+        carry, _ = lax.scan(stage, carry, (jnp.arange(count), table, *at))
         return carry, carry[1][0]
 
     index = jnp.arange(scheme.nodes - 1).astype(rows.dtype)
-    (rows, _), history = lax.scan(one, (rows, jnp.zeros((count, *rows.shape), rows.dtype)), index)
-    newest = field(time + (scheme.nodes - 1) * step, rows)
+    times = time + (index[:, None] + offset) * step
+    empty = jnp.zeros((count, *rows.shape), rows.dtype)
+    (rows, _), history = lax.scan(one, (rows, empty), (times, field.schedule(times)))
+    now = time + (scheme.nodes - 1) * step
+    newest = field(now, field.schedule(now), rows)
     return rows, jnp.concatenate([history, newest[None]])
 
 
@@ -149,13 +77,13 @@ def turn(
 
     def one(carry: tuple, at: tuple) -> tuple[tuple, None]:
         rows, ring = carry
-        slot, weights = at
+        slot, weights, now, scheduled = at
         rows = rows + step * weighted_sum(weights, ring)
-        # The time is counted, not added up.
-        now = time + (done + slot + 1).astype(step.dtype) * step
-        return (rows, _written(ring, slot, field(now, rows))), None
+        return (rows, _written(ring, slot, field(now, scheduled, rows))), None
 
-    return lax.scan(one, (rows, ring), (jnp.arange(scheme.nodes), table))[0]
+    slots = jnp.arange(scheme.nodes)
+    times = time + (done + slots + 1).astype(step.dtype) * step  # counted, not added up
+    return lax.scan(one, (rows, ring), (slots, table, times, field.schedule(times)))[0]
 
 
 def stepped(

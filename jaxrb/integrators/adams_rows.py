@@ -47,6 +47,7 @@ _ELEMENTWISE = frozenset(
         *("eq", "ne", "lt", "le", "gt", "ge", "and", "or", "not", "stop_gradient", "copy"),
     )
 )
+_SMALL = 16  # numbers
 _INLINED = ("jit", "pjit", "closed_call", "core_call")
 
 
@@ -54,21 +55,64 @@ class _Parts(tuple):
     """An array as its slices along the last axis; a slice may be `_Parts` in turn."""
 
 
-def by_rows(
-    function: Callable[..., Sequence[jax.Array]], fixed: Any, *examples: Any
-) -> Callable[..., list[jax.Array]]:
-    """`function(fixed, ...)` of the further arguments, which are shaped like `examples`; traced once.
+class ByRows:
+    """`function(fixed, time, rows)` for rows given as a list of arrays, traced once, arrays out.
 
     Arrays in `fixed` are taken apart here, once: in a loop their rows would be read with a stride at every step.
+    What depends on the time alone is a function of its own, `schedule`: left among the rows, XLA would fuse it into
+    their loop and evaluate, say, one sine of the time for every body.
     """
-    closed = jax.make_jaxpr(function)(fixed, *examples)
-    known = [_taken_apart(leaf) for leaf in jax.tree.leaves(fixed)]
 
-    def run(*arguments: Any) -> list[jax.Array]:
-        found = _run(closed.jaxpr, closed.consts, [*known, *jax.tree.leaves(arguments)])
-        return [_whole(value) for value in found]
+    def __init__(self, function: Callable[..., Sequence[jax.Array]], fixed: Any, time: Any, rows: Any):
+        self._closed = jax.make_jaxpr(function)(fixed, time, rows)
+        jaxpr = self._closed.jaxpr
+        leaves = [_taken_apart(leaf) for leaf in jax.tree.leaves(fixed)]
+        self._time = jaxpr.invars[len(leaves)]
+        self._rows = jaxpr.invars[len(leaves) + 1 :]
+        self._known = dict(
+            zip([*jaxpr.constvars, *jaxpr.invars], [*self._closed.consts, *leaves], strict=False)
+        )
+        constant, self._timed, self._rest = _split(jaxpr.eqns, self._time, set(self._known))
+        _follow(constant, self._known)
+        made = {v for equation in self._timed for v in equation.outvars}
+        used = [v for equation in self._rest for v in equation.invars] + list(jaxpr.outvars)
+        self._handed = list(dict.fromkeys(v for v in used if not isinstance(v, Literal) and v in made))
 
-    return run
+    def schedule(self, time: Any) -> list[jax.Array]:
+        """What the rates need of the time alone."""
+        known = self._known | {self._time: time}
+        _follow(self._timed, known)
+        return [_whole(known[v]) for v in self._handed]
+
+    def __call__(
+        self, time: Any, scheduled: Sequence[jax.Array], rows: Sequence[jax.Array]
+    ) -> list[jax.Array]:
+        known = self._known | {self._time: time} | dict(zip(self._handed, scheduled, strict=True))
+        known |= dict(zip(self._rows, rows, strict=True))
+        _follow(self._rest, known)
+        outputs = self._closed.jaxpr.outvars
+        return [_whole(v.val if isinstance(v, Literal) else known[v]) for v in outputs]
+
+
+def _split(equations: Sequence[Any], time: Any, known: set) -> tuple[list[Any], list[Any], list[Any]]:
+    """Equations that need neither time nor rows, those that need the time alone, and the rest.
+
+    What spreads numbers over bodies is of the rest: in a loop a number costs less than a row of equal ones.
+    """
+    constant, timed, rest = [], [], []
+    of_time = {time}
+    for equation in equations:
+        inputs = {v for v in equation.invars if not isinstance(v, Literal)}
+        small = all(v.aval.size <= _SMALL for v in (*inputs, *equation.outvars))
+        if not small or equation.primitive.name == "broadcast_in_dim" or not inputs <= known | of_time:
+            rest.append(equation)
+        elif inputs & of_time:
+            timed.append(equation)
+            of_time.update(equation.outvars)
+        else:
+            constant.append(equation)
+            known.update(equation.outvars)
+    return constant, timed, rest
 
 
 def _taken_apart(array: Any) -> Any:
@@ -77,10 +121,15 @@ def _taken_apart(array: Any) -> Any:
 
 def _run(jaxpr: Any, constants: Sequence[Any], values: Sequence[Any]) -> list[Any]:
     known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*constants, *values], strict=True))
-    for equation in jaxpr.eqns:
+    _follow(jaxpr.eqns, known)
+    return [v.val if isinstance(v, Literal) else known[v] for v in jaxpr.outvars]
+
+
+def _follow(equations: Sequence[Any], known: dict) -> None:
+    """Evaluate equations in turn, adding to the known values."""
+    for equation in equations:
         given = [v.val if isinstance(v, Literal) else known[v] for v in equation.invars]
         known.update(zip(equation.outvars, _evaluated(equation, given), strict=True))
-    return [v.val if isinstance(v, Literal) else known[v] for v in jaxpr.outvars]
 
 
 def _evaluated(equation: Any, given: list[Any]) -> Sequence[Any]:

@@ -50,9 +50,10 @@ class Splitting(Method):
     """Half a kick of force and torque, free flight, half a kick; a composition of such substeps gives higher orders.
 
     A subclass says how a body turns freely; it moves uniformly meanwhile. The first kick is explicit, the last one
-    implicit in the velocities, solved by `sweeps` rounds of repetition, so that the step is symmetric in time for drag
-    as well. Rounds cost nothing for forces that depend on the pose alone: all of them are then the same number, which
-    the compiler forms once. Without effects and torque the step is a free flight and nothing else.
+    implicit in the velocities, so that the step is symmetric in time for drag as well: solved by `sweeps` rounds of
+    repetition, as many as the order demands. Rounds cost nothing for forces that depend on the pose alone: all of them
+    are then the same number, which the compiler forms once. Without effects and torque the step is a free flight and
+    nothing else.
     (Strang 1968, SIAM J. Numer. Anal. 5, 506; McLachlan 1995, SIAM J. Sci. Comput. 16, 151.)
     """
 
@@ -60,7 +61,7 @@ class Splitting(Method):
     needs_group: ClassVar[bool] = True
     parts: eqx.AbstractClassVar[Pairs]
 
-    sweeps: int = eqx.field(static=True, default=3)
+    sweeps: int | None = eqx.field(static=True, default=None)
 
     def turn(
         self, inertia: InertiaSolver, omega: Vector, first: Scalar, second: Scalar
@@ -99,7 +100,7 @@ class Splitting(Method):
         turned = self.turn(dynamics.inertia, start.angular_velocity, first, second)
         flown = dynamics.complete(_flown(start, first + second, self.renormalise, *turned))
         end = flown
-        for _ in range(self.sweeps):
+        for _ in range(self.order if self.sweeps is None else self.sweeps):
             end = _kicked(dynamics, flown, dynamics.wrench(end, torque), second)
         return end
 

@@ -17,7 +17,8 @@ from jax import lax
 from jaxrb.body.state import PER_BODY, State, finite_per_body
 from jaxrb.effects.dynamics import Dynamics
 from jaxrb.effects.effect import Force
-from jaxrb.integrators.adams import Motion, joined, stepped
+from jaxrb.integrators.adams import stepped
+from jaxrb.integrators.adams_motion import Motion, joined
 from jaxrb.integrators.adams_weights import Scheme
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.scene.scene import Scene

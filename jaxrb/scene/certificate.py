@@ -31,7 +31,7 @@ LOST = 0.5
 class Certificate(eqx.Module):
     """Estimated errors of a run, for each body (n,).
 
-    attitude_error [rad] and position_error [m] at the end, and their largest values along the run (`..._max`);
+    attitude_error [rad] and position_error [m] at the end, and their largest values on the way (`..._max`);
     attitude_drift (n, 3) [rad] is the rotation vector in the body frame by which the run is off at the end: along the
     angular velocity positive means ahead. energy_error [J] is of the whole scene at the end, with its sign: positive
     means that the run has gained energy. `order_seen` (n,) is the order at which the attitude converges, `reliable` (n,)
@@ -115,7 +115,9 @@ def _certify(
     )
     energies = [jax.vmap(energy, in_axes=(None, 0))(scene, run) for run in (fine, twice, fourfold)]
     energy_gap = (energies[1] - energies[0])[-1]
-    energy_ratio = _ratio(jnp.abs(energies[1] - energies[0])[:, None], jnp.abs(energies[2] - energies[1])[:, None])
+    energy_ratio = _ratio(
+        jnp.abs(energies[1] - energies[0])[:, None], jnp.abs(energies[2] - energies[1])[:, None]
+    )
     attitude = attitude + round_off
     largest = jnp.max(attitude, axis=0)
     order_seen = jnp.log2(jnp.maximum(ratio, 1.0))

@@ -19,13 +19,13 @@ from jaxrb.integrators.method import Method
 from jaxrb.math.arrays import Array, Scalar, Vector
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(0, 1))
+@partial(jax.custom_vjp, nondiff_argnums=(0, 1))  # pyright: ignore[reportArgumentType]
 def reversible_steps(
     method: Method, count: int, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None
 ) -> tuple[State, Array]:
     """The state `count` steps later, and the number (n,) of steps after which each body was finite."""
 
-    def one(_: int, carry: tuple[State, Array]) -> tuple[State, Array]:
+    def one(_: Any, carry: tuple[State, Array]) -> tuple[State, Array]:
         state, finite = carry
         new = method.step(dynamics, state, dt, torque)
         return new, finite + finite_per_body(new)
@@ -35,7 +35,7 @@ def reversible_steps(
 
 def _forward(method: Method, count: int, *arguments: Any) -> tuple[Any, Any]:
     dynamics, _, dt, torque = arguments
-    out = reversible_steps(method, count, *arguments)
+    out: Any = reversible_steps(method, count, *arguments)  # pyright: ignore[reportCallIssue, reportArgumentType]
     return out, (dynamics, out[0], dt, torque)
 
 
@@ -50,7 +50,9 @@ def _backward(method: Method, count: int, kept: Any, cotangents: Any) -> tuple[A
         to_dynamics, to_before, to_dt, to_torque = pull(to_state)
         return before, to_before, jax.tree.map(jnp.add, gathered, (to_dynamics, to_dt, to_torque))
 
-    _, to_start, (to_dynamics, to_dt, to_torque) = lax.fori_loop(0, count, one, (end, cotangents[0], none_yet))
+    _, to_start, (to_dynamics, to_dt, to_torque) = lax.fori_loop(
+        0, count, one, (end, cotangents[0], none_yet)
+    )
     return to_dynamics, to_start, to_dt, to_torque
 
 

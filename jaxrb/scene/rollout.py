@@ -78,7 +78,14 @@ def rollout(
     check_adjoint(adjoint, method, torque)
     warn_of_coarse_steps(scene, state, dt, method)
     times, states, final, status = _run(
-        scene, state, torque, jnp.asarray(dt, state.dtype), method, steps=steps, save_every=save_every, adjoint=adjoint
+        scene,
+        state,
+        torque,
+        jnp.asarray(dt, state.dtype),
+        method,
+        steps=steps,
+        save_every=save_every,
+        adjoint=adjoint,
     )
     certificate = None
     if certify or tolerance is not None:
@@ -103,7 +110,7 @@ def _run_steps(
     steps: int,
     save_every: int,
     adjoint: str,
-) -> tuple[Vector, State, State, Status]:
+) -> tuple[Scalar, State, State, Status]:
     dynamics = scene.prepared(state.dtype)
     start = state.time
     varying = torque is not None and torque.ndim == 3
@@ -122,7 +129,8 @@ def _run_steps(
         if adjoint == "checkpoint":
             return _scan(one, carry, given, count)
         state, finite_steps, done = carry
-        new, finite = reversible_steps(method, count, dynamics, state, dt, torque)
+        reversed_run: Any = reversible_steps  # custom_vjp hides its signature from type checkers
+        new, finite = reversed_run(method, count, dynamics, state, dt, torque)
         return timed(new, done + count), finite_steps + finite, done + count
 
     def stretch(carry: tuple, given: Vector | None) -> tuple[tuple, State]:

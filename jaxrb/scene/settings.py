@@ -68,7 +68,7 @@ def check_adjoint(adjoint: str, method: Method, torque: Any) -> None:
             f"{type(method).__name__} is not symmetric in time: use adjoint='checkpoint'"
         )
     if adjoint == "reversible" and torque is not None and torque.ndim == 3:
-        raise WrongStructure("adjoint='reversible' takes a constant torque; use 'checkpoint' for one given step by step")
+        raise WrongStructure("adjoint='reversible' takes a constant torque; use 'checkpoint' for one a step")
 
 
 def check_saved_bytes(state: State, saves: int, max_bytes: int) -> None:

@@ -44,7 +44,9 @@ def test_estimate_is_within_a_factor_of_five_and_never_flatters(tumblers, dtype,
         assert not np.any(met & (truth > 2 * tolerance))
     ratio = np.asarray(path.certificate.attitude_error) / truth
     inside = np.mean((ratio > 0.2) & (ratio < 5.0))
-    print(f"{method.__name__}, {steps} steps: {inside:.1%} within a factor of 5, median ratio {np.median(ratio):.2f}")
+    print(
+        f"{method.__name__}, {steps} steps: {inside:.1%} within a factor of 5, median ratio {np.median(ratio):.2f}"
+    )
     assert inside >= 0.95
     assert claims > 0
 
@@ -66,7 +68,9 @@ def test_drift_vector_points_ahead_where_the_run_is_ahead(tolerance):
     # The implicit midpoint rule turns a quaternion by 4 atan(ω dt/4) a step: less than ω dt, so the run lags.
     scene = rb.Scene(rb.Body(1.0, 1.0))
     state = scene.state(angular_velocity=(0, 0, 2.0))
-    path = rb.rollout(scene, state, dt=0.05, steps=400, save_every=100, method=rb.ImplicitMidpoint(), certify=True)
+    path = rb.rollout(
+        scene, state, dt=0.05, steps=400, save_every=100, method=rb.ImplicitMidpoint(), certify=True
+    )
     lag = 400 * (4 * np.arctan(0.1 / 4) - 0.1)
     np.testing.assert_allclose(path.certificate.attitude_drift[0], (0, 0, lag), rtol=2e-2, atol=1e-5)
     assert bool(path.certificate.reliable[0])
@@ -77,7 +81,12 @@ def test_run_of_single_precision_knows_its_round_off(dtype):
         pytest.skip("float32 only")
     scene = rb.Scene(rb.Body(1.0, (1.0, 2.0, 2.5)))
     path = rb.rollout(
-        scene, scene.state(angular_velocity=(0.3, 1.0, 0.2)), dt=1e-3, steps=20_000, save_every=1000, certify=True
+        scene,
+        scene.state(angular_velocity=(0.3, 1.0, 0.2)),
+        dt=1e-3,
+        steps=20_000,
+        save_every=1000,
+        certify=True,
     )
     assert 1e-6 < float(path.certificate.attitude_error[0]) < 1e-2
 

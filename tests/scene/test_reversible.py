@@ -23,8 +23,9 @@ def losses():
 
     def loss(numbers, adjoint, steps=STEPS):
         scene, state = unravel(numbers)
+        method = rb.ImplicitMidpoint(sweeps=3)
         path = rb.rollout(
-            scene, state, dt=5e-3, steps=steps, save_every=steps // 4, method=rb.ImplicitMidpoint(sweeps=3), adjoint=adjoint
+            scene, state, dt=5e-3, steps=steps, save_every=steps // 4, method=method, adjoint=adjoint
         )
         return jnp.sum(path.final.orientation.wxyz[:, 0]) + jnp.sum(path.states.position**2)
 
