@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxrb as rb
-from jaxrb.accuracy.reference import errors, reference
+from jaxrb.accuracy.reference import errors, extrapolated, reference
 from jaxrb.accuracy.work_precision import (
     Point,
     measure,
@@ -42,6 +42,14 @@ def test_reference_of_a_top_agrees_with_itself(answer):
     assert answer.uncertainty.attitude < 1e-11
     assert answer.uncertainty.energy < 1e-13
     assert "Dopri8" in answer.how
+
+
+@IN_FLOAT64
+def test_extrapolation_removes_the_error_of_order_four(answer):
+    coarse, fine = (
+        dataclasses.replace(answer.state, position=answer.state.position + e) for e in (16e-3, 1e-3)
+    )
+    np.testing.assert_allclose(extrapolated(coarse, fine).position, answer.state.position, atol=1e-15)
 
 
 @pytest.mark.parametrize(("method", "order"), [(rb.RungeKutta4(), 4), (rb.ImplicitMidpoint(), 2)])

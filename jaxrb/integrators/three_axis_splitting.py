@@ -82,6 +82,7 @@ def _principal(inertia: PrincipalSolver, omega: Vector, pairs: list) -> tuple[Qu
         turned, change = _about(0, span * rate_a, turned, momentum, change)
         turned, change = _about(1, (one + two) * rate_b, turned, momentum, change)
         waiting = two
+    assert waiting is not None
     (w, x, y, z), change = _about(0, waiting * rate_a, turned, momentum, change)
     # ω + I⁻¹ (change of the momentum): one rounding a step, where I⁻¹ of the new momentum has a bias.
     gain = back([j * c for j, c in zip((ja, jb, jc), change, strict=True)])

@@ -32,11 +32,11 @@ class Certificate(eqx.Module):
     """Estimated errors of a run, for each body (n,).
 
     attitude_error [rad] and position_error [m] at the end, and their largest values on the way (`..._max`);
-    attitude_drift (n, 3) [rad] is the rotation vector in the body frame by which the run is off at the end: along the
-    angular velocity positive means ahead. energy_error [J] is of the whole scene at the end, with its sign: positive
-    means that the run has gained energy. `order_seen` (n,) is the order at which the attitude converges, `reliable` (n,)
-    whether that is near the method's, or the error is mere round-off. `met` (n,) is whether the largest attitude error
-    [rad] and position error [m] are reliably below `tolerance`; None where none was stated.
+    attitude_drift (n, 3) [rad] is the rotation vector in the body frame by which the run is off at the end: along
+    the angular velocity positive means ahead. energy_error [J] is of the whole scene at the end, with its sign:
+    positive means that the run has gained energy. `order_seen` (n,) is the order at which the attitude converges,
+    `reliable` (n,) whether that is near the method's, or the error is mere round-off. `met` (n,) is whether the
+    largest attitude error [rad] and position error [m] are reliably below `tolerance`; None where none was stated.
     """
 
     attitude_error: Scalar

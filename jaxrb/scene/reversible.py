@@ -43,7 +43,7 @@ def _backward(method: Method, count: int, kept: Any, cotangents: Any) -> tuple[A
     dynamics, end, dt, torque = kept
     none_yet = jax.tree.map(jnp.zeros_like, (dynamics, dt, torque))
 
-    def one(_: int, carry: tuple[Any, ...]) -> tuple[Any, ...]:
+    def one(_: Any, carry: Any) -> Any:
         state, to_state, gathered = carry
         before = method.step(dynamics, state, -dt, torque)
         _, pull = jax.vjp(lambda d, s, h, t: method.step(d, s, h, t), dynamics, before, dt, torque)
