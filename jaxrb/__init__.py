@@ -3,6 +3,9 @@
 The facade: names only. Importing it changes no setting of JAX.
 """
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from jaxrb.body import (
     Body,
     FullInertia,
@@ -38,7 +41,6 @@ from jaxrb.errors import (
     UnknownName,
     WrongStructure,
 )
-from jaxrb.fit import InertiaFit, RatiosNotIdentifiable, fit_inertia
 from jaxrb.geometry import Box, Capsule, Composite, Cone, Cylinder, Ellipsoid, Pose, Shape, Sphere
 from jaxrb.integrators import (
     METHODS,
@@ -54,7 +56,6 @@ from jaxrb.integrators import (
     ThreeAxisSplitting4,
     VelocityVerlet,
 )
-from jaxrb.io import Recording, read_recording, write_recording
 from jaxrb.math import (
     Drift,
     EulerAngles,
@@ -79,4 +80,34 @@ from jaxrb.scene import (
     stepper,
 )
 
+if TYPE_CHECKING:
+    from jaxrb.accuracy.planner import Plan, plan
+    from jaxrb.fit import InertiaFit, RatiosNotIdentifiable, fit_inertia
+    from jaxrb.io import Recording, read_recording, write_recording
+    from jaxrb.scene.adams import SmoothPath, solve_smooth
+
 __version__ = "0.1.0"
+
+# Loaded when first asked for: not every program fits a recording or plans a run, and `import jaxrb` is waiting time.
+_LATER = {
+    "Plan": "jaxrb.accuracy.planner",
+    "plan": "jaxrb.accuracy.planner",
+    "InertiaFit": "jaxrb.fit",
+    "RatiosNotIdentifiable": "jaxrb.fit",
+    "fit_inertia": "jaxrb.fit",
+    "Recording": "jaxrb.io",
+    "read_recording": "jaxrb.io",
+    "write_recording": "jaxrb.io",
+    "SmoothPath": "jaxrb.scene.adams",
+    "solve_smooth": "jaxrb.scene.adams",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module 'jaxrb' has no attribute {name!r}")
+    return getattr(importlib.import_module(_LATER[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LATER})

@@ -3,7 +3,7 @@
 import json as json_text
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import tyro
 
@@ -29,7 +29,12 @@ def demo(
     print(json_text.dumps(found) if json else demonstration.report(found, output))
 
 
-def bench(*, planner: bool = False, json: bool = False) -> None:
+def bench(
+    *,
+    what: Literal["speed", "flight", "methods", "adams"] = "speed",
+    planner: bool = False,
+    json: bool = False,
+) -> None:
     """Speed on this machine: start-up, cost of a step, cost of a gradient; the goals beside the figures.
 
     CPU time of this process, medians; on a shared machine compare figures of one run only.
@@ -37,17 +42,20 @@ def bench(*, planner: bool = False, json: bool = False) -> None:
     Example: taskset -c 0 jaxrb bench
 
     Args:
+        what: speed of steps and gradients; the closed form of free flight; all methods beside each other; stabilised
+            Adams beside its peers.
         planner: instead, the time of the planner's picks over the best that a fine search finds, on a grid of scenes
             and tolerances (some minutes).
         json: print one JSON object instead of a table.
     """
     from tqdm import tqdm
 
+    from jaxrb.bench import adams, free_flight, methods, workloads
     from jaxrb.bench import planner as picks
-    from jaxrb.bench import workloads
     from jaxrb.tables import table
 
-    rows = picks.rows() if planner else workloads.rows()
+    tables = {"speed": workloads, "flight": free_flight, "methods": methods, "adams": adams}
+    rows = picks.rows() if planner else tables[what].rows()
     found = list(tqdm(rows, disable=not sys.stderr.isatty(), leave=False, unit=" rows"))
     machine = workloads.machine()
     if json:

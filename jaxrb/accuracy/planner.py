@@ -33,10 +33,10 @@ from jaxrb.scene.scene import Scene, check_fit
 from jaxrb.scene.settings import check_tolerance
 
 # A method is not even compiled where it could not win if it cost this part of a Runge–Kutta step (the other at order 1)
-# and its error constant were this part of what the motion suggests. Measured costs: 0.8 and more, and 0.1.
+# and its error constant were this part of what the motion suggests. Measured costs: 0.8 and more; 0.1.
 _CHEAPEST_STEP, _CHEAPEST_EULER_STEP, _SMALLEST_CONSTANT = 0.3, 0.1, 0.03
-# Every method compiled costs one to three seconds. These won somewhere when `jaxrb bench --planner` ran with all of them
-# as candidates, on one machine; no other was faster there than the pick by more than the clock's noise.
+# Every method compiled costs one to three seconds. These won somewhere when `jaxrb bench --planner` ran with all as
+# candidates, on one machine; no other was faster there than the pick by more than the clock's noise.
 PROMISING = (
     "RungeKutta4",
     "ThreeAxisSplitting4",

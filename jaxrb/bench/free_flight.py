@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrb.bench.workloads import _row, cpu_median
+from jaxrb.bench.workloads import row, cpu_median
 from jaxrb.body.body import Body, replicate
 from jaxrb.math.quaternion import attitude_error
 from jaxrb.math.vector import dot
@@ -103,13 +103,13 @@ def rows() -> Iterator[dict[str, Any]]:
     """The benchmark, a row at a time: what, figure, unit, goal."""
     kinds = [np.float32]
     if jax.config.jax_enable_x64:  # type: ignore[attr-defined]
-        yield _row("closed form, error after 1000 revolutions, worst of 5", max(long_errors()), "rad", 1e-12)
+        yield row("closed form, error after 1000 revolutions, worst of 5", max(long_errors()), "rad", 1e-12)
         kinds = [np.float64, np.float32]
     for dtype in kinds:
         for name, inertia in (("principal", (1.0, 2.0, 2.5)), ("full", _FULL)):
             for what, gradient, goal in (("forward", False, 2.0), ("gradient", True, 5.0)):
                 figure, seconds = cost(inertia, dtype, gradient)
                 kind = np.dtype(dtype).name
-                yield _row(
+                yield row(
                     f"closed form, 1000 bodies, {kind}, {name}, {what}", figure, "µs/body", goal, seconds
                 )

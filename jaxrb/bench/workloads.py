@@ -113,8 +113,8 @@ def start_up(repeats: int = 5) -> dict[str, float]:
 
 def rows() -> Iterator[dict[str, Any]]:
     """The benchmark, a row at a time: what, figure, unit, goal."""
-    yield _row("import jaxrb beyond import jax", (start := start_up())["import_seconds"], "CPU s", 0.3)
-    yield _row("Python start to end of first rollout", start["first_rollout_seconds"], "CPU s", 2.5)
+    yield row("import jaxrb beyond import jax", (start := start_up())["import_seconds"], "CPU s", 0.3)
+    yield row("Python start to end of first rollout", start["first_rollout_seconds"], "CPU s", 2.5)
     principal = (1.0, 2.0, 2.5)
     for dtype in (np.float64, np.float32):
         kind = np.dtype(dtype).name
@@ -127,18 +127,18 @@ def rows() -> Iterator[dict[str, Any]]:
         ]
         for name, inertia, rotation, renormalise, goal in cases:
             cost, first = free_bodies(inertia, rotation, renormalise, dtype)
-            yield _row(f"RK4, 1000 bodies, {kind}, {name}", cost, "ns/body-step", goal, first)
+            yield row(f"RK4, 1000 bodies, {kind}, {name}", cost, "ns/body-step", goal, first)
         cost, first = worlds(dtype)
-        yield _row(f"RK4, 1000 worlds of one body, {kind}, quaternion", cost, "ns/body-step", 25.0, first)
+        yield row(f"RK4, 1000 worlds of one body, {kind}, quaternion", cost, "ns/body-step", 25.0, first)
     found = gradient()
-    yield _row(
+    yield row(
         "reverse pass through 1e4 steps, 64 bodies", found["gradient_over_forward"], "× forward", 12.0,
         found["gradient_compile_seconds"],
     )  # fmt: skip
-    yield _row("its memory", found["gradient_memory_mb"], "MB", None)
+    yield row("its memory", found["gradient_memory_mb"], "MB", None)
 
 
-def _row(
+def row(
     what: str, figure: float, unit: str, goal: float | None, compile_seconds: float | None = None
 ) -> dict:
     return {
