@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrb.bench.workloads import row, cpu_median
+from jaxrb.bench.workloads import cpu_median, row
 from jaxrb.body.body import Body, replicate
 from jaxrb.math.quaternion import attitude_error
 from jaxrb.math.vector import dot
