@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from jaxrb.body.inertia import InertiaSolver, solver
+from jaxrb.body.euler_equation import InertiaSolver, solver
 from jaxrb.body.mass_properties import MassProperties
 from jaxrb.body.state import State
 from jaxrb.effects.effect import Effect, Wrench

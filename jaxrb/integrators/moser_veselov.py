@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxrb.body.inertia import FullSolver, InertiaSolver, PrincipalSolver, SphericalSolver
+from jaxrb.body.euler_equation import FullSolver, InertiaSolver, PrincipalSolver, SphericalSolver
 from jaxrb.integrators.splitting import BLANES_MOAN_4, BLANES_MOAN_6, STRANG, Pairs, Splitting
 from jaxrb.math.arrays import Scalar, Vector, components, stack
 from jaxrb.math.quaternion import Quaternion

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.body.inertia import InertiaSolver
+from jaxrb.body.euler_equation import InertiaSolver
 from jaxrb.body.state import State
 from jaxrb.effects.dynamics import Dynamics
 from jaxrb.effects.effect import Wrench

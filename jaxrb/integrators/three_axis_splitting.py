@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.body.inertia import FullSolver, InertiaSolver, PrincipalSolver, SphericalSolver
+from jaxrb.body.euler_equation import FullSolver, InertiaSolver, PrincipalSolver, SphericalSolver
 from jaxrb.integrators.splitting import BLANES_MOAN_4, STRANG, Pairs, Splitting
 from jaxrb.math.arrays import Scalar, Vector, components, stack
 from jaxrb.math.quaternion import Quaternion

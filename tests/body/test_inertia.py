@@ -6,7 +6,7 @@ import pytest
 from rotation_samples import largest, unit_vectors
 
 from jaxrb import Body, FullInertia, Inertia, PrincipalInertia, Quaternion, SphericalInertia, principal_axes
-from jaxrb.body.inertia import solver
+from jaxrb.body.euler_equation import solver
 from jaxrb.body.mass_properties import of_particles
 from jaxrb.errors import WrongStructure
 
