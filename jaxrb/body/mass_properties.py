@@ -6,11 +6,14 @@ any mechanics text, e.g. Goldstein, "Classical Mechanics", chapter 5.
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from jaxrb.body.inertia import FullInertia, Inertia, PrincipalInertia, SphericalInertia, parallel_axis
+from jaxrb.checks import is_concrete
 from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.rotation import Rotation
@@ -103,6 +106,38 @@ def of_parts(parts: Sequence[MassProperties]) -> MassProperties:
     center = sum(part.mass * part.center_of_mass for part in parts) / mass
     six = sum(part.inertia.six() + part.mass * parallel_axis(part.center_of_mass - center) for part in parts)
     return MassProperties(mass, center, FullInertia(six))
+
+
+def of_closed_surface(density: Scalar, vertices: Array, triangles: np.ndarray) -> MassProperties:
+    """Of the solid inside a closed surface of triangles (m, 3), wound anticlockwise seen from outside.
+
+    The sum over signed tetrahedra between each triangle and a point near the centre (Tonon 2004, "Explicit exact
+    formulas for the 3-D tetrahedron inertia tensor in terms of its vertex coordinates"; Eberly 2002, "Polyhedral mass
+    properties"). The reference point matters: about the origin instead, a box's inertia is 9 % wrong at an offset of
+    1e4 edges. Numbers that are there are summed on the host in float64; traced ones in their own type.
+    """
+    host = is_concrete(vertices) and is_concrete(density)
+    xp = np if host else jnp
+    corners = (np.asarray(vertices, float) if host else jnp.asarray(vertices))[triangles]
+    reference = corners.mean(axis=(0, 1))
+    volumes, firsts = _tetrahedra(xp, corners - reference)
+    volume = volumes.sum()
+    center = reference + volumes @ firsts / volume
+    # Once more about the centre of mass itself: the parallel axis theorem would subtract what it had added.
+    volumes, firsts = _tetrahedra(xp, corners - center)
+    corners = corners - center
+    points = xp.concatenate([corners, 4.0 * firsts[:, None]], axis=1)
+    # Over a tetrahedron with one corner at the origin, ∫ x xᵀ = V/20 (Σ v vᵀ + s sᵀ), s = Σ v.
+    second = xp.einsum("t,tki,tkj->ij", volumes / 20.0, points, points)
+    yy_zz = xp.trace(second) - xp.diagonal(second)
+    six = xp.concatenate([yy_zz, -xp.stack([second[0, 1], second[0, 2], second[1, 2]])])
+    return MassProperties(density * volume, center, FullInertia(density * six))
+
+
+def _tetrahedra(xp: Any, corners: Any) -> tuple[Any, Any]:
+    """Signed volumes (m,) and centroids (m, 3) of the tetrahedra from triangles (m, 3, 3) to the origin."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    return xp.sum(a * xp.cross(b, c), axis=-1) / 6.0, (a + b + c) / 4.0
 
 
 def _from_squares(factor: Scalar, a: Scalar, b: Scalar, c: Scalar) -> Array:
