@@ -59,7 +59,8 @@ def end_state(scene: Scene, state: State, method: Method, duration: Scalar, coun
     """The state after `count` steps over `duration` [s]. The count is a number of the run: one program serves all."""
     dynamics = scene.prepared(state.dtype)
     dt = duration / count
-    return jax.lax.fori_loop(0, count, lambda _, s: method.step(dynamics, s, dt), state)
+    start = (state, method.first_remainder(state))
+    return jax.lax.fori_loop(0, count, lambda _, c: method.carried_step(dynamics, *c, dt), start)[0]
 
 
 def reference(scene: Scene, state: State, duration: float) -> Reference:

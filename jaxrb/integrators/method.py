@@ -45,6 +45,16 @@ class Method(eqx.Module):
         )
         return dynamics.complete(done)
 
+    def first_remainder(self, state: State) -> Any:
+        """What a run carries from step to step beside the state; None for a method that carries nothing."""
+        return None
+
+    def carried_step(
+        self, dynamics: Dynamics, state: State, remainder: Any, dt: Scalar, torque: Vector | None = None
+    ) -> tuple[State, Any]:
+        """`step` within a run, and what to carry to the next."""
+        return self.step(dynamics, state, dt, torque), remainder
+
 
 class Rates(eqx.Module):
     """Time derivative of a state. None is a rate that is zero by type."""

@@ -72,16 +72,16 @@ class RotationMatrix(Rotation):
         factor = [[0.5 * ((3.0 if i == j else 0.0) - gram[i][j]) for j in range(3)] for i in range(3)]
         return RotationMatrix(matmul(x, from_entries(factor)))
 
+    def projecting_change(self) -> "RotationMatrix":
+        return RotationMatrix(matmul(self.matrix, from_entries(_missing_stretch(self.matrix))))
+
     def turned(self, wxyz: Array, *, renormalise: bool) -> "RotationMatrix":
         # R P = R + R (P − 1), and the Newton–Schulz step is another small change, R (1 − RᵀR)/2.
         x = self.matrix
         small = less_identity(wxyz)
         if renormalise:
-            gram = entries(matmul(jnp.swapaxes(x, -1, -2), x))
-            small = [
-                [small[i][j] + 0.5 * ((1.0 if i == j else 0.0) - gram[i][j]) for j in range(3)]
-                for i in range(3)
-            ]
+            missing = _missing_stretch(x)
+            small = [[small[i][j] + missing[i][j] for j in range(3)] for i in range(3)]
         change = matmul(x, from_entries(small))
         return RotationMatrix(by_components(operator.add, x, change) if x.ndim == 3 else x + change)
 
@@ -125,6 +125,12 @@ class RotationMatrix(Rotation):
 
     def as_quaternion_array(self) -> Array:
         return Quaternion.from_matrix(self.matrix).wxyz
+
+
+def _missing_stretch(x: Matrix) -> list[list[Array]]:
+    """(1 − RᵀR)/2: the stretch that makes a matrix that is nearly a rotation one."""
+    gram = entries(matmul(jnp.swapaxes(x, -1, -2), x))
+    return [[0.5 * ((1.0 if i == j else 0.0) - gram[i][j]) for j in range(3)] for i in range(3)]
 
 
 def _rodrigues_factors(v: Vector) -> tuple[Array, Array]:

@@ -129,14 +129,18 @@ class Quaternion(Rotation):
         inverse = 1.0 / jnp.sqrt(w * w + x * x + y * y + z * z)
         return Quaternion(stack(*(part * inverse for part in parts)))
 
+    def projecting_change(self) -> "Quaternion":
+        parts = components(self.wxyz)
+        scale = _missing_scale(parts)
+        return Quaternion(stack(*(scale * part for part in parts)))
+
     def turned(self, wxyz: Array, *, renormalise: bool) -> "Quaternion":
         # q p = q + q (p − 1); the rounding of p₀ − 1 lies along q itself and is projected away.
         parts = components(self.wxyz)
-        w, x, y, z = parts
         p0, p1, p2, p3 = components(wxyz)
         scale = p0 - 1.0
         if renormalise:
-            scale = scale + 0.5 * (1.0 - (w * w + x * x + y * y + z * z))
+            scale = scale + _missing_scale(parts)
         change = components(product(self.wxyz, stack(scale, p1, p2, p3)))
         return Quaternion(stack(*(part + c for part, c in zip(parts, change, strict=True))))
 
@@ -152,6 +156,12 @@ class Quaternion(Rotation):
 
     def as_quaternion_array(self) -> Array:
         return self.wxyz
+
+
+def _missing_scale(parts: list[jax.Array]) -> jax.Array:
+    """1/|q| − 1 of a quaternion that is nearly a unit one."""
+    w, x, y, z = parts
+    return 0.5 * (1.0 - (w * w + x * x + y * y + z * z))
 
 
 def product(a: Array, b: Array) -> Array:

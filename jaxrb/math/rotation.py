@@ -90,6 +90,13 @@ class Rotation(eqx.Module):
         """The projection that the stepping methods use: cheap, and exact to the square of the drift."""
         return self.normalise()
 
+    def projecting_change(self) -> Self:
+        """What has to be added to the numbers to project them, to the square of the drift, in full relative precision.
+
+        Nothing, for a representation whose numbers are always a rotation.
+        """
+        return jax.tree.map(jnp.zeros_like, self)
+
     def turned(self, wxyz: Array, *, renormalise: bool) -> Self:
         """The rotation after a further one in the body frame, a unit quaternion (..., 4), projected if so asked.
 

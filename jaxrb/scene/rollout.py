@@ -116,9 +116,9 @@ def _run_steps(
     varying = torque is not None and torque.ndim == 3
 
     def one(carry: tuple, given: Vector | None) -> tuple[tuple, None]:
-        state, finite_steps, done = carry
-        new = method.step(dynamics, state, dt, given if varying else torque)
-        return (timed(new, done + 1), finite_steps + finite_per_body(new), done + 1), None
+        state, remainder, finite_steps, done = carry
+        new, remainder = method.carried_step(dynamics, state, remainder, dt, given if varying else torque)
+        return (timed(new, done + 1), remainder, finite_steps + finite_per_body(new), done + 1), None
 
     def timed(state: State, done: Scalar) -> State:
         # The time is counted, not added up: 1e6 additions in float32 would lose the third digit.
@@ -128,10 +128,10 @@ def _run_steps(
     def advance(carry: tuple, given: Vector | None, count: int) -> tuple:
         if adjoint == "checkpoint":
             return _scan(one, carry, given, count)
-        state, finite_steps, done = carry
+        state, remainder, finite_steps, done = carry
         reversed_run: Any = reversible_steps  # custom_vjp hides its signature from type checkers
         new, finite = reversed_run(method, count, dynamics, state, dt, torque)
-        return timed(new, done + count), finite_steps + finite, done + count
+        return timed(new, done + count), remainder, finite_steps + finite, done + count
 
     def stretch(carry: tuple, given: Vector | None) -> tuple[tuple, State]:
         carry = advance(carry, given, save_every)
@@ -139,7 +139,7 @@ def _run_steps(
 
     saves = steps // save_every
     bad = sound(state, method.renormalise)
-    carry = (state, jnp.zeros_like(bad), jnp.zeros((), jnp.int32))
+    carry = (state, method.first_remainder(state), jnp.zeros_like(bad), jnp.zeros((), jnp.int32))
     regular, rest = None, None
     if torque is not None and varying:
         regular = torque[: saves * save_every].reshape(saves, save_every, *torque.shape[1:])
@@ -150,7 +150,7 @@ def _run_steps(
     if steps > saves * save_every:
         carry = advance(carry, rest, steps - saves * save_every)
     states = jax.tree.map(lambda first, later: jnp.concatenate([first[None], later]), state, saved)
-    return states.time, states, carry[0], status_after(bad, carry[1], steps)
+    return states.time, states, carry[0], status_after(bad, carry[2], steps)
 
 
 _run = jax.jit(_run_steps, static_argnames=("steps", "save_every", "adjoint"))

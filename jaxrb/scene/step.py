@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxrb.body.state import State
+from jaxrb.errors import WrongStructure
 from jaxrb.integrators.method import Method
 from jaxrb.integrators.names import method_of
 from jaxrb.integrators.runge_kutta import RungeKutta4
@@ -36,6 +37,11 @@ def step(
     check_fit(scene, state)
     check_representation(method, state)
     check_positive("dt", dt)
+    if method.first_remainder(state) is not None:
+        raise WrongStructure(
+            f"step: {type(method).__name__}(compensated=True) carries a remainder from step to step, which a single "
+            "step would lose; use rb.rollout, or compensated=False"
+        )
     return _step(scene, state, applied_torque(torque, state), jnp.asarray(dt, state.dtype), method)
 
 
