@@ -6,6 +6,7 @@ The facade: names only. Importing it changes no setting of JAX.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from jaxrb.accuracy.rollout import rollout
 from jaxrb.body import (
     Body,
     FullInertia,
@@ -41,7 +42,20 @@ from jaxrb.errors import (
     UnknownName,
     WrongStructure,
 )
-from jaxrb.geometry import Box, Capsule, Composite, Cone, Cylinder, Ellipsoid, Pose, Shape, Sphere
+from jaxrb.geometry import (
+    Box,
+    Capsule,
+    Composite,
+    Cone,
+    ConvexHull,
+    Cylinder,
+    Ellipsoid,
+    HalfSpace,
+    Pose,
+    Shape,
+    Sphere,
+    stack_hulls,
+)
 from jaxrb.integrators import (
     METHODS,
     ExplicitEuler,
@@ -74,7 +88,6 @@ from jaxrb.scene import (
     energy,
     free_flight,
     momentum,
-    rollout,
     solve,
     step,
     stepper,

@@ -5,15 +5,17 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from jaxrb.body import mass_properties as closed_form
 from jaxrb.body.mass_properties import MassProperties
-from jaxrb.checks import quantity
-from jaxrb.errors import WrongStructure
+from jaxrb.checks import is_concrete, quantity
+from jaxrb.errors import InvalidInput, WrongStructure
 from jaxrb.geometry.shape import Shape
-from jaxrb.math.arrays import Scalar, Vector
+from jaxrb.math.arrays import Scalar, Vector, components, stack
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.math.rotation import Rotation
+from jaxrb.math.safe import norm, unit_or
 
 
 class Sphere(Shape):
@@ -24,6 +26,13 @@ class Sphere(Shape):
     def mass_properties(self, density: Scalar) -> MassProperties:
         return closed_form.of_sphere(density, self.radius)
 
+    def support(self, direction: Vector) -> Vector:
+        return jnp.zeros_like(jnp.asarray(direction))
+
+    @property
+    def rounding(self) -> Scalar:
+        return self.radius
+
 
 class Ellipsoid(Shape):
     """Ellipsoid about the origin with semi-axes `radii` (3,) along x, y, z."""
@@ -33,6 +42,12 @@ class Ellipsoid(Shape):
     def mass_properties(self, density: Scalar) -> MassProperties:
         return closed_form.of_ellipsoid(density, self.radii)
 
+    def support(self, direction: Vector) -> Vector:
+        radii = jnp.asarray(self.radii)
+        scaled = radii * jnp.asarray(direction)
+        # Along no direction at all the x axis is as good as any.
+        return radii * unit_or(scaled, jnp.zeros_like(scaled).at[..., 0].set(1.0))
+
 
 class Box(Shape):
     """Box about the origin with half edges `half_extents` (3,) along x, y, z."""
@@ -41,6 +56,9 @@ class Box(Shape):
 
     def mass_properties(self, density: Scalar) -> MassProperties:
         return closed_form.of_box(density, self.half_extents)
+
+    def support(self, direction: Vector) -> Vector:
+        return jnp.asarray(self.half_extents) * _sign(jnp.asarray(direction))
 
 
 class Cylinder(Shape):
@@ -52,6 +70,11 @@ class Cylinder(Shape):
     def mass_properties(self, density: Scalar) -> MassProperties:
         return closed_form.of_cylinder(density, self.radius, self.half_height)
 
+    def support(self, direction: Vector) -> Vector:
+        x, y, z = components(jnp.asarray(direction))
+        across = jnp.asarray(self.radius)[..., None] * _unit_across(x, y)
+        return stack(*components(across), self.half_height * _sign(z))
+
 
 class Capsule(Shape):
     """Cylinder along z of `half_height` with half spheres of `radius` beyond its ends."""
@@ -62,6 +85,14 @@ class Capsule(Shape):
     def mass_properties(self, density: Scalar) -> MassProperties:
         return closed_form.of_capsule(density, self.radius, self.half_height)
 
+    def support(self, direction: Vector) -> Vector:
+        z = components(jnp.asarray(direction))[2]
+        return stack(jnp.zeros_like(z), jnp.zeros_like(z), self.half_height * _sign(z))
+
+    @property
+    def rounding(self) -> Scalar:
+        return self.radius
+
 
 class Cone(Shape):
     """Cone along z with its base in the plane z = 0 and its tip at z = `height`."""
@@ -71,6 +102,47 @@ class Cone(Shape):
 
     def mass_properties(self, density: Scalar) -> MassProperties:
         return closed_form.of_cone(density, self.radius, self.height)
+
+    def support(self, direction: Vector) -> Vector:
+        x, y, z = components(jnp.asarray(direction))
+        across = jnp.asarray(self.radius)[..., None] * _unit_across(x, y)
+        tip = self.height * z >= self.radius * norm(stack(x, y))
+        rim_x, rim_y = components(across)
+        zero = jnp.zeros_like(z)
+        return stack(
+            jnp.where(tip, zero, rim_x), jnp.where(tip, zero, rim_y), jnp.where(tip, self.height, zero)
+        )
+
+
+class HalfSpace(Shape):
+    """All points x with `normal` · x ≤ `offset`: ground, walls. It has no end, so no mass, and never moves by itself.
+
+    `normal` (3,) points out of the solid and is made a unit vector at construction; `offset` [m] is the distance of
+    the plane from the origin along it.
+
+    Raises:
+        InvalidInput: a normal of length zero.
+    """
+
+    normal: Vector = quantity((3,), default=(0.0, 0.0, 1.0))
+    offset: Scalar = quantity((), unit="m", default=0.0)
+
+    def __post_init__(self):
+        super().__post_init__()
+        if is_concrete(self.normal):
+            normal = np.asarray(self.normal)
+            if not (np.abs(normal).max(axis=-1) > 0).all():
+                raise InvalidInput("HalfSpace.normal is the zero vector, but must point out of the solid")
+            if isinstance(self.normal, np.ndarray):
+                normal = normal / np.abs(normal).max(axis=-1, keepdims=True)
+                object.__setattr__(self, "normal", normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+                return
+        object.__setattr__(self, "normal", unit_or(self.normal, jnp.zeros_like(self.normal)))
+
+    def mass_properties(self, density: Scalar) -> MassProperties:
+        raise WrongStructure(
+            "HalfSpace: it has no end and so no mass; make it something that bodies touch, not a body"
+        )
 
 
 class Pose(eqx.Module):
@@ -103,6 +175,37 @@ class Composite(Shape):
             ]
         )
 
+    def support(self, direction: Vector) -> Vector:
+        """The farthest point of all parts with their roundings: the support map of the composite's convex hull.
+
+        A composite need not be convex, so distances are taken part by part and never from this.
+        """
+        direction = jnp.asarray(direction)
+        best: Any = None
+        for shape, pose in self.parts:
+            point = pose.position + pose.orientation.rotate(
+                shape.farthest(pose.orientation.unrotate(direction))
+            )
+            reach = jnp.sum(point * direction, axis=-1, keepdims=True)
+            best = (point, reach) if best is None else _farther(best, (point, reach))
+        return best[0]
+
     def __check_init__(self):
         if not self.parts or not all(isinstance(s, Shape) and isinstance(p, Pose) for s, p in self.parts):
             raise WrongStructure("Composite.parts: give at least one pair (shape, Pose)")
+
+
+def _sign(x: Scalar) -> Scalar:
+    """±1, and 1 at zero: a corner is chosen where a whole face is equally far."""
+    return jnp.where(x >= 0, 1.0, -1.0).astype(jnp.result_type(x))
+
+
+def _unit_across(x: Scalar, y: Scalar) -> Any:
+    """The direction (..., 2) across the z axis; zero along the axis, where the middle of the end face will do."""
+    across = stack(x, y)
+    return unit_or(across, jnp.zeros_like(across))
+
+
+def _farther(one: tuple[Any, Any], other: tuple[Any, Any]) -> tuple[Any, Any]:
+    first = one[1] >= other[1]
+    return jnp.where(first, one[0], other[0]), jnp.where(first, one[1], other[1])
