@@ -54,6 +54,7 @@ from jaxrb.geometry import (
     Pose,
     Shape,
     Sphere,
+    TriangleMesh,
     stack_hulls,
 )
 from jaxrb.integrators import (
@@ -96,7 +97,7 @@ from jaxrb.scene import (
 if TYPE_CHECKING:
     from jaxrb.accuracy.planner import Plan, plan
     from jaxrb.fit import InertiaFit, RatiosNotIdentifiable, fit_inertia
-    from jaxrb.io import Recording, read_recording, write_recording
+    from jaxrb.io import Recording, read_mesh, read_recording, write_recording
     from jaxrb.scene.adams import SmoothPath, solve_smooth
 
 __version__ = "0.1.0"
@@ -109,6 +110,7 @@ _LATER = {
     "RatiosNotIdentifiable": "jaxrb.fit",
     "fit_inertia": "jaxrb.fit",
     "Recording": "jaxrb.io",
+    "read_mesh": "jaxrb.io",
     "read_recording": "jaxrb.io",
     "write_recording": "jaxrb.io",
     "SmoothPath": "jaxrb.scene.adams",

@@ -1,5 +1,7 @@
 """A rigid body: mass, inertia about the centre of mass and, where geometry matters, a shape."""
 
+import importlib
+import os
 from typing import Any
 
 import equinox as eqx
@@ -10,7 +12,7 @@ import numpy as np
 from jaxrb.body.mass_properties import MassProperties, of_particles
 from jaxrb.body.validity import check_range, valid_inertia
 from jaxrb.checks import Checked, is_concrete, quantity
-from jaxrb.errors import InvalidInput
+from jaxrb.errors import InvalidInput, WrongStructure
 from jaxrb.math.arrays import Array, Scalar, Vector
 
 
@@ -59,6 +61,37 @@ class Body(Checked):
                 f"Body.from_shape: density is {density!r} kg/m³, but must be positive and finite"
             )
         return cls.from_mass_properties(shape.mass_properties(density), shape, name)
+
+    @classmethod
+    def from_mesh(
+        cls,
+        mesh: Any,
+        density: Scalar,
+        name: str | None = None,
+        *,
+        convex_hull: bool = False,
+        **reading: Any,
+    ) -> "Body":
+        """The body that fills a closed triangle mesh with `density` [kg/m³].
+
+        Args:
+            mesh: a `TriangleMesh`, or the path of an STL, OBJ, PLY or GLB file.
+            name: by default that of the mesh.
+            convex_hull: fill the mesh's convex hull instead, which also an open surface has.
+            reading: for a file, options of `jaxrb.io.read_mesh`, such as unit="mm".
+
+        Raises:
+            InvalidInput: a file or a surface that cannot be right, a surface without an inside. LimitExceeded.
+        """
+        if isinstance(mesh, (str, os.PathLike)):
+            # Named, not imported: files are read on a floor far above this one, and only who has a file needs it.
+            mesh = importlib.import_module("jaxrb.io.mesh").read_mesh(mesh, **reading)
+        elif reading:
+            raise WrongStructure(
+                f"Body.from_mesh: {', '.join(reading)} is for reading a file; a mesh was given"
+            )
+        shape = mesh.convex_hull() if convex_hull else mesh
+        return cls.from_shape(shape, density, mesh.name if name is None else name)
 
     @classmethod
     def from_particles(cls, masses: Array, positions: Array, name: str = "body") -> "Body":

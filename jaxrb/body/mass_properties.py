@@ -120,11 +120,11 @@ def of_closed_surface(density: Scalar, vertices: Array, triangles: np.ndarray) -
     xp = np if host else jnp
     corners = (np.asarray(vertices, float) if host else jnp.asarray(vertices))[triangles]
     reference = corners.mean(axis=(0, 1))
-    volumes, firsts = _tetrahedra(xp, corners - reference)
+    volumes, firsts = tetrahedra(xp, corners - reference)
     volume = volumes.sum()
     center = reference + volumes @ firsts / volume
     # Once more about the centre of mass itself: the parallel axis theorem would subtract what it had added.
-    volumes, firsts = _tetrahedra(xp, corners - center)
+    volumes, firsts = tetrahedra(xp, corners - center)
     corners = corners - center
     points = xp.concatenate([corners, 4.0 * firsts[:, None]], axis=1)
     # Over a tetrahedron with one corner at the origin, ∫ x xᵀ = V/20 (Σ v vᵀ + s sᵀ), s = Σ v.
@@ -134,7 +134,7 @@ def of_closed_surface(density: Scalar, vertices: Array, triangles: np.ndarray) -
     return MassProperties(density * volume, center, FullInertia(density * six))
 
 
-def _tetrahedra(xp: Any, corners: Any) -> tuple[Any, Any]:
+def tetrahedra(xp: Any, corners: Any) -> tuple[Any, Any]:
     """Signed volumes (m,) and centroids (m, 3) of the tetrahedra from triangles (m, 3, 3) to the origin."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     return xp.sum(a * xp.cross(b, c), axis=-1) / 6.0, (a + b + c) / 4.0

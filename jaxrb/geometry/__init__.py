@@ -2,6 +2,7 @@
 
 from jaxrb.geometry.hull import ConvexHull as ConvexHull
 from jaxrb.geometry.hull import stack_hulls as stack_hulls
+from jaxrb.geometry.mesh import TriangleMesh as TriangleMesh
 from jaxrb.geometry.primitives import Box as Box
 from jaxrb.geometry.primitives import Capsule as Capsule
 from jaxrb.geometry.primitives import Composite as Composite
