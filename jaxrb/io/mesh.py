@@ -61,7 +61,9 @@ def read_mesh(
     if unit not in _METRES:
         raise InvalidInput(f"{path}: unit={unit!r} is not known; choose {', '.join(_METRES)}")
     data = _bytes_of(path, max_bytes)
-    vertices, triangles = _READERS[suffix](str(path), data, max_triangles)
+    # NumPy complains of a signalling NaN when it is copied; the mesh refuses every NaN, and says where it is.
+    with np.errstate(invalid="ignore"):
+        vertices, triangles = _READERS[suffix](str(path), data, max_triangles)
     if not len(triangles):
         raise InvalidInput(f"{path}: there are no triangles in it; is it the right file?")
     if len(triangles) > max_triangles:

@@ -32,11 +32,14 @@ def real(where: str, text: bytes) -> float:
 
 
 def whole(where: str, text: bytes) -> int:
-    """One whole number of a text file."""
+    """One whole number of a text file, which counts or names something in it."""
     try:
-        return int(text)
+        number = int(text)
     except ValueError:
         raise InvalidInput(f"{where}: {shown(text)} is not a whole number") from None
+    if abs(number) >= 2**40:
+        raise InvalidInput(f"{where}: {shown(text)} is no number of anything in a file")
+    return number
 
 
 def shown(text: bytes) -> str:
