@@ -1,5 +1,6 @@
 """The command line: `jaxrb demo | work-precision | plan | scoreboard | fit | bench`."""
 
+import importlib
 import json as json_text
 import sys
 from pathlib import Path
@@ -31,7 +32,7 @@ def demo(
 
 def bench(
     *,
-    what: Literal["speed", "flight", "methods", "adams"] = "speed",
+    what: Literal["speed", "flight", "methods", "adams", "peers"] = "speed",
     planner: bool = False,
     json: bool = False,
 ) -> None:
@@ -43,19 +44,19 @@ def bench(
 
     Args:
         what: speed of steps and gradients; the closed form of free flight; all methods beside each other; stabilised
-            Adams beside its peers.
+            Adams beside its peers; one body beside MuJoCo, diffrax and SciPy at equal error.
         planner: instead, the time of the planner's picks over the best that a fine search finds, on a grid of scenes
             and tolerances (some minutes).
         json: print one JSON object instead of a table.
     """
     from tqdm import tqdm
 
-    from jaxrb.bench import adams, free_flight, methods, workloads
     from jaxrb.bench import planner as picks
+    from jaxrb.bench import workloads
     from jaxrb.tables import table
 
-    tables = {"speed": workloads, "flight": free_flight, "methods": methods, "adams": adams}
-    rows = picks.rows() if planner else tables[what].rows()
+    files = {"speed": "workloads", "flight": "free_flight", "peers": "stepping_peers"}
+    rows = picks.rows() if planner else importlib.import_module(f"jaxrb.bench.{files.get(what, what)}").rows()
     found = list(tqdm(rows, disable=not sys.stderr.isatty(), leave=False, unit=" rows"))
     machine = workloads.machine()
     if json:

@@ -145,3 +145,38 @@ def test_picks_are_near_the_best(dtype, monkeypatch):
     monkeypatch.setattr("jaxrb.accuracy.work_precision.METHODS", few)
     found = list(rows(("tumbling_brick",), (1e-3, 1e-6)))
     assert share_within(found, 2.0) == 1.0, found
+
+
+def test_a_run_to_a_stated_tolerance_chooses_its_own_step(top, answer):
+    with jax.enable_x64(True):
+        path = rb.rollout(
+            top.scene, top.state(), t1=top.duration, tolerance=1e-5, saves=6, method="RungeKutta4"
+        )
+    assert errors(top.scene, path.final, answer.state).attitude <= 1.1e-5
+    assert path.times.shape == (7,)
+    np.testing.assert_allclose(path.times, np.linspace(0, top.duration, 7), atol=1e-12)
+    assert path.certificate is not None
+    assert float(path.certificate.tolerance) == 1e-5
+    assert float(path.certificate.attitude_error[0]) < 2e-5
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"dt": 1e-3}, "given dt"),
+        ({}, "give dt and steps"),
+        ({"t1": 1.0}, "tolerance"),
+        ({"dt": 1e-3, "steps": 5, "t1": 1.0}, "given dt, steps, t1"),
+        ({"t1": 1.0, "tolerance": 1e-3, "torque": (0, 0, 1)}, "PrescribedTorque"),
+        ({"t1": 1.0, "tolerance": 1e-3, "save_every": 10}, "saves"),
+        ({"t1": 1.0, "tolerance": 2.0}, "between 0 and 1"),
+    ],
+)
+def test_half_stated_runs_are_refused(top, given, named):
+    with pytest.raises(rb.JaxrbError, match=named):
+        rb.rollout(top.scene, top.state(), **given)
+
+
+def test_a_planned_run_cannot_be_traced(top):
+    with pytest.raises(WrongStructure, match="plan outside"):
+        jax.jit(lambda state: rb.rollout(top.scene, state, t1=1.0, tolerance=1e-3).final)(top.state())

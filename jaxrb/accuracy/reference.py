@@ -60,7 +60,7 @@ def end_state(scene: Scene, state: State, method: Method, duration: Scalar, coun
     dynamics = scene.prepared(state.dtype)
     dt = duration / count
     start = (state, method.first_remainder(state))
-    return jax.lax.fori_loop(0, count, lambda _, c: method.carried_step(dynamics, *c, dt), start)[0]
+    return jax.lax.fori_loop(0, count, lambda _, c: method.carried_step(dynamics, c[0], c[1], dt), start)[0]
 
 
 def reference(scene: Scene, state: State, duration: float) -> Reference:
