@@ -55,6 +55,7 @@ from jaxrb.geometry import (
     Shape,
     Sphere,
     TriangleMesh,
+    convex_decomposition,
     stack_hulls,
 )
 from jaxrb.integrators import (

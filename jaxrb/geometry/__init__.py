@@ -1,5 +1,6 @@
 """Floor 2: shapes, no dynamics."""
 
+from jaxrb.geometry.decomposition import convex_decomposition as convex_decomposition
 from jaxrb.geometry.hull import ConvexHull as ConvexHull
 from jaxrb.geometry.hull import stack_hulls as stack_hulls
 from jaxrb.geometry.mesh import TriangleMesh as TriangleMesh
