@@ -61,9 +61,10 @@ def read_mesh(
     if unit not in _METRES:
         raise InvalidInput(f"{path}: unit={unit!r} is not known; choose {', '.join(_METRES)}")
     data = _bytes_of(path, max_bytes)
-    # NumPy complains of a signalling NaN when it is copied; the mesh refuses every NaN, and says where it is.
+    # NumPy complains of a signalling NaN when it is touched; the mesh refuses every NaN, and says where it is.
     with np.errstate(invalid="ignore"):
         vertices, triangles = _READERS[suffix](str(path), data, max_triangles)
+        vertices = _METRES[unit] * vertices
     if not len(triangles):
         raise InvalidInput(f"{path}: there are no triangles in it; is it the right file?")
     if len(triangles) > max_triangles:
@@ -74,7 +75,7 @@ def read_mesh(
         raise InvalidInput(
             f"{path}: triangle {row} names vertex {triangles[row, corner]}, but there are {len(vertices)}; is it cut?"
         )
-    vertices, triangles = merged(_METRES[unit] * vertices, triangles)
+    vertices, triangles = merged(vertices, triangles)
     used, renumbered = np.unique(triangles, return_inverse=True)
     return TriangleMesh(vertices[used], renumbered.reshape(-1, 3), name=path.name)
 

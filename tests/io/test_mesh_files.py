@@ -183,6 +183,14 @@ def test_ply_that_is_damaged_is_refused(name, old, new, message, written):
     refused(written(name, FORMATS[name].replace(old, new, 1)), message, error)
 
 
+def test_signalling_nan_is_refused(written):
+    """In 8 bytes and in 4: NumPy warns where it copies one."""
+    for name, data in (("little.ply", b"\1\0\0\0\0\0\xf4\x7f"), ("binary.stl", b"\1\0\xa0\x7f")):
+        good = FORMATS[name]
+        start = good.index(b"end_header\n") + 11 if name == "little.ply" else 84 + 12
+        refused(written(name, good[:start] + data + good[start + len(data) :]), "vertex 0 has x = nan")
+
+
 def damaged_glb(change):
     document, blob = files.glb_document(*TORUS)
     document = copy.deepcopy(document)
