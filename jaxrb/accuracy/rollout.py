@@ -96,8 +96,8 @@ def _planned(
 
     found = plan(scene, state, t1, tolerance, methods=None if method is None else [method])
     saves = None if saves is None else check_count("saves", saves, 1)
-    # Whole groups of four steps between saves, so that the certificate can compare with steps four times as long.
-    group = 4 if saves is None else 4 * saves
+    # The certificate compares with steps four times as long, at places that both reach.
+    group = 4 if saves is None else saves if saves >= 4 else 4 * saves
     steps = -(-found.steps // group) * group
     return (
         (float(t1) - float(state.time)) / steps,
