@@ -12,7 +12,9 @@ import numpy as np
 
 from jaxrb.body.body import Body, replicate
 from jaxrb.body.state import State
+from jaxrb.integrators.midpoint import ImplicitMidpoint
 from jaxrb.integrators.runge_kutta import RungeKutta4
+from jaxrb.integrators.three_axis_splitting import ThreeAxisSplitting4
 from jaxrb.math.matrix import RotationMatrix
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.math.rotation import Rotation
@@ -65,14 +67,20 @@ def worlds(dtype: Any) -> tuple[float, float]:
     return 1e9 * seconds / (BODIES * STEPS), first
 
 
-def gradient(bodies: int = 64, steps: int = 10_000) -> dict[str, float]:
+def gradient(
+    method: Any = RungeKutta4(),  # noqa: B008 - an immutable value
+    adjoint: str = "checkpoint",
+    bodies: int = 64,
+    steps: int = 10_000,
+) -> dict[str, float]:
     """Reverse mode through 1e4 steps with respect to all masses and inertias: time against forward, and memory."""
     random = np.random.default_rng(0)
     scene = Scene(replicate(Body(1.0, (1.0, 2.0, 2.5)), bodies))
     state = scene.state(angular_velocity=random.normal(size=(bodies, 3)))
 
     def loss(scene: Scene) -> Any:
-        final = rollout(scene, state, dt=1e-3, steps=steps, save_every=steps).final
+        path = rollout(scene, state, dt=1e-3, steps=steps, save_every=steps, method=method, adjoint=adjoint)
+        final = path.final
         return jnp.sum(final.orientation.as_quaternion_array())
 
     forward, backward = jax.jit(loss), jax.jit(jax.grad(loss))
@@ -86,6 +94,13 @@ def gradient(bodies: int = 64, steps: int = 10_000) -> dict[str, float]:
         "gradient_memory_mb": getattr(memory, "temp_size_in_bytes", float("nan")) / 1e6,
     }
 
+
+_ADJOINTS = (
+    (RungeKutta4(), "checkpoint"),
+    (ThreeAxisSplitting4(), "checkpoint"),
+    (ThreeAxisSplitting4(), "reversible"),
+    (ImplicitMidpoint(), "reversible"),
+)
 
 _START = """
 import time
@@ -130,12 +145,13 @@ def rows() -> Iterator[dict[str, Any]]:
             yield row(f"RK4, 1000 bodies, {kind}, {name}", cost, "ns/body-step", goal, first)
         cost, first = worlds(dtype)
         yield row(f"RK4, 1000 worlds of one body, {kind}, quaternion", cost, "ns/body-step", 25.0, first)
-    found = gradient()
-    yield row(
-        "reverse pass through 1e4 steps, 64 bodies", found["gradient_over_forward"], "× forward", 12.0,
-        found["gradient_compile_seconds"],
-    )  # fmt: skip
-    yield row("its memory", found["gradient_memory_mb"], "MB", None)
+    for method, adjoint in _ADJOINTS:
+        found, name = gradient(method, adjoint), f"{type(method).__name__}, {adjoint}"
+        yield row(
+            f"reverse pass through 1e4 steps, 64 bodies, {name}", found["gradient_over_forward"], "× forward", 12.0,
+            found["gradient_compile_seconds"],
+        )  # fmt: skip
+        yield row("its memory", found["gradient_memory_mb"], "MB", None)
 
 
 def row(

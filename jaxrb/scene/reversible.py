@@ -2,7 +2,9 @@
 
 For a method with Φ(−dt) = Φ(dt)⁻¹ the states of the forward run are found again from its end, one step at a time, and
 each step is differentiated where it stands. Memory does not grow with the number of steps; the states come back to
-round-off (amplified where the motion is unstable), which is the error of the gradient.
+round-off (amplified where the motion is unstable), which is the error of the gradient. Forces that depend on velocity
+make a step implicit, solved to the method's own order, and so are the states found again then (a brick with drag, steps
+of 0.05 s: 7e-7 a step at order 2, 1e-11 at order 4, 4e-15 at order 6).
 (Stumm and Walther 2010 for the trade; Hairer, Lubich, Wanner 2006, section V.1, for symmetric methods.)
 """
 
