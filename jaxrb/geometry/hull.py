@@ -92,14 +92,16 @@ class ConvexHull(Shape):
 def stack_hulls(hulls: Sequence[ConvexHull]) -> ConvexHull:
     """Many hulls as one whose leaves carry a leading axis, for `jax.vmap`.
 
-    Smaller ones are filled up by repeating their last vertex, face and edge and by triangles without area, which
-    changes no answer.
+    Smaller ones are filled up by repeating their last vertex and face, by triangles without area and by edges between a
+    face and itself, which changes no answer.
     """
     if not hulls or not all(isinstance(hull, ConvexHull) for hull in hulls):
         raise WrongStructure("stack_hulls: give at least one ConvexHull, and nothing else")
 
     def joined(name: str) -> Array:
         leaves = [getattr(hull, name) for hull in hulls]
+        if name == "edges":
+            leaves = [np.concatenate([edges, edges[-1:, [0, 1, 2, 2]]]) for edges in leaves]
         length = max(len(leaf) for leaf in leaves)
         xp: Any = np if all(isinstance(leaf, np.ndarray) for leaf in leaves) else jnp
         mode = "constant" if name == "triangles" else "edge"

@@ -1,0 +1,70 @@
+"""Arithmetic of many pairs at once: components first, pairs along the last axis.
+
+A kernel that sees pairs in its last axis is compiled into long loops over whole vectors; a short last axis (3 components,
+8 vertices) costs 3–8 times as much. A chunk of `LANES` pairs fits the first cache and leaves its loops when the slowest
+of its own pairs is done, not the slowest of the batch.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+LANES = 128
+
+
+def dot(a: Any, b: Any) -> Any:
+    """a · b, shapes (3, ...)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Any, b: Any) -> jax.Array:
+    """a × b, shapes (3, ...)."""
+    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def heights(points: Any, direction: Any) -> Any:
+    """Coordinates (n, L) of points (n, 3, L) along directions (3, L)."""
+    return points[:, 0] * direction[0] + points[:, 1] * direction[1] + points[:, 2] * direction[2]
+
+
+def unit(vector: Any) -> Any:
+    """v / |v|, shapes (3, ...); the zero vector stays zero."""
+    squared = dot(vector, vector)
+    return vector / jnp.sqrt(jnp.where(squared > 0, squared, 1.0))
+
+
+def first_of(mask: Any) -> Any:
+    """Number (L,) of the first True along the first axis of (n, L); the last where there is none."""
+    count = mask.shape[0]
+    numbers = lax.broadcasted_iota(jnp.int32, mask.shape, 0)
+    return jnp.where(mask, numbers, count - 1).min(axis=0)
+
+
+def row(table: Any, number: Any) -> Any:
+    """Row `number` (L,) of a table (n, ..., L) or (n, ..., 1): shape (..., L)."""
+    lanes = number.shape[-1]
+    if table.shape[-1] != lanes:
+        return jnp.moveaxis(table[..., 0][number], 0, -1)
+    index = number.reshape((1,) * (table.ndim - 1) + (lanes,))
+    return jnp.take_along_axis(table, index, axis=0, mode="promise_in_bounds")[0]
+
+
+def gathered(table: Any, numbers: Any) -> Any:
+    """Rows `numbers` (m, L) or (m, 1) of a table (n, L): shape (m, L)."""
+    if numbers.shape[1] != table.shape[1]:
+        return table[numbers[:, 0]]
+    return jnp.take_along_axis(table, numbers, axis=0, mode="promise_in_bounds")
+
+
+def settled(values: Any) -> Any:
+    """The same arrays, computed once and stored.
+
+    The compiler would otherwise form them again in every loop that reads them: `optimization_barrier` does not stop
+    it, a branch that it cannot foresee does. The other branch is never taken.
+    """
+    probe = jax.tree.leaves(values)[0].ravel()[0]
+    return lax.cond(
+        (probe <= 0) | ~(probe <= 0), lambda x: x, lambda x: jax.tree.map(jnp.negative, x), values
+    )

@@ -1,0 +1,142 @@
+"""The distance of two shapes: which way is taken for which pair."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxrb.collision import closed_forms, cores, features
+from jaxrb.collision.batch import search
+from jaxrb.collision.contact import Contact
+from jaxrb.errors import WrongStructure
+from jaxrb.geometry.primitives import Box, Capsule, Composite, HalfSpace, Pose, Sphere
+from jaxrb.geometry.shape import Shape
+from jaxrb.math.arrays import Array
+from jaxrb.math.vector import matmul, matvec
+
+
+def separation(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> Contact:
+    """How far apart two shapes are, or how deep they overlap: a `Contact` in W.
+
+    A pure function of one pair; `jax.jit`, `jax.vmap` and `jax.grad` apply to it, and a vmapped batch is computed as one
+    however many axes are mapped over. It is exact up to round-off of the largest coordinate in the frame of one of the
+    two shapes, never of world coordinates, and the answer of (b, a) is that of (a, b) with the sign of the normal
+    changed, bit by bit.
+
+    Ways: formulas for half-spaces, spheres, capsules, and sphere with box; for all others GJK where they are apart. Where
+    polytopes overlap, branch and bound over arcs of normals gives their exact depth and proves it (`arcs.py`). Of smooth
+    shapes that overlap (ellipsoid, cylinder, cone) the depth is a local minimum found from the best direction of
+    inscribed polytopes; `upper` then is what these prove and `lower` what that direction proves, some per cent apart.
+    A composite is the nearest of its parts: the depth is that of the deepest pair of parts.
+
+    Derivatives: those of the nearest features (`features.py`), finite everywhere; where features tie, those of one.
+
+    Raises:
+        WrongStructure: two half-spaces, a shape or pose of another type.
+    """
+    for name, shape, pose in (("a", shape_a, pose_a), ("b", shape_b, pose_b)):
+        if not isinstance(shape, Shape) or not isinstance(pose, Pose):
+            raise WrongStructure(
+                f"separation: {name} is given as {type(shape).__name__} with {type(pose).__name__}, but must be a Shape "
+                "with a Pose(position, orientation)"
+            )
+    if isinstance(shape_a, Composite):
+        return closed_forms.composite(
+            [separation(s, _part(pose_a, p), shape_b, pose_b) for s, p in shape_a.parts]
+        )
+    if isinstance(shape_b, Composite):
+        return closed_forms.composite(
+            [separation(shape_a, pose_a, s, _part(pose_b, p)) for s, p in shape_b.parts]
+        )
+    if isinstance(shape_a, HalfSpace) and isinstance(shape_b, HalfSpace):
+        raise WrongStructure("separation: two half-spaces are no pair; both are without end and stand still")
+    first, second = (shape_a, pose_a), (shape_b, pose_b)
+    if type(shape_a) is not type(shape_b) or _sizes(shape_a) != _sizes(shape_b):
+        if _rank(shape_a) > _rank(shape_b):
+            return _ordered(*second, *first).flipped()
+        return _ordered(*first, *second)
+    # Of one type: the order must not depend on who is called a, so the numbers decide.
+    swap = _comes_after(first, second)
+    one, other = (
+        jax.tree.map(lambda x, y: jnp.where(swap, x, y), p, q) for p, q in ((second, first), (first, second))
+    )
+    contact = _ordered(*one, *other)
+    return jax.tree.map(lambda x, y: jnp.where(swap, x, y), contact.flipped(), contact)
+
+
+def _part(pose: Pose, part: Pose) -> Pose:
+    turned = type(pose.orientation).from_rotation(part.orientation)
+    position = jnp.asarray(pose.position) + pose.orientation.rotate(jnp.asarray(part.position))
+    return Pose(position, pose.orientation @ turned)
+
+
+_ORDER = (HalfSpace, Box, Sphere, Capsule)
+
+
+def _rank(shape: Shape) -> Any:
+    place = _ORDER.index(type(shape)) if type(shape) in _ORDER else len(_ORDER)
+    return (place, type(shape).__name__, _sizes(shape))
+
+
+def _sizes(shape: Shape) -> Any:
+    return [jnp.shape(leaf) for leaf in jax.tree.leaves(shape)]
+
+
+def _comes_after(one: Any, other: Any) -> Array:
+    """Whether the numbers of `one` come after those of `other` in lexical order."""
+    parts = []
+    for x, y in zip(jax.tree.leaves(one), jax.tree.leaves(other)):
+        x, y = jax.lax.stop_gradient((jnp.asarray(x), jnp.asarray(y)))
+        parts.append((jnp.sign(x - y) if jnp.issubdtype(x.dtype, jnp.inexact) else jnp.sign(x - y)).ravel())
+    signs = jnp.concatenate([part.astype(jnp.int8) for part in parts])
+    return signs[jnp.argmax(signs != 0)] > 0
+
+
+def _ordered(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> Contact:
+    """The contact of a pair in the one order that its types have."""
+    dtype = jnp.result_type(*(x for x in jax.tree.leaves((shape_a, pose_a, shape_b, pose_b)) if _real(x)))
+    shape_a, pose_a, shape_b, pose_b = jax.tree.map(
+        lambda x: jnp.asarray(x, dtype) if _real(x) else jnp.asarray(x), (shape_a, pose_a, shape_b, pose_b)
+    )
+    turn_a, turn_b = pose_a.orientation.as_matrix(), pose_b.orientation.as_matrix()
+    rotation = matmul(turn_a.T, turn_b)
+    translation = matvec(turn_a.T, pose_b.position - pose_a.position)
+    contact = _in_frame_of_a(shape_a, shape_b, rotation, translation)
+    contact = contact.grown(shape_a.rounding, shape_b.rounding)
+    return Contact(
+        contact.distance,
+        matvec(turn_a, contact.normal),
+        pose_a.position + matvec(turn_a, contact.point_a),
+        pose_a.position + matvec(turn_a, contact.point_b),
+        contact.lower,
+        contact.upper,
+    )
+
+
+def _real(x: Any) -> bool:
+    return jnp.issubdtype(jnp.result_type(x), jnp.inexact)
+
+
+def _in_frame_of_a(shape_a: Shape, shape_b: Shape, rotation: Array, translation: Array) -> Contact:
+    """The contact of the cores."""
+    if isinstance(shape_a, HalfSpace):
+        return closed_forms.plane_and_core(shape_a, shape_b, rotation, translation)
+    if isinstance(shape_a, Box) and isinstance(shape_b, Sphere):
+        return closed_forms.sphere_and_box(shape_a, translation)
+    if isinstance(shape_a, (Sphere, Capsule)) and isinstance(shape_b, (Sphere, Capsule)):
+        halves = [closed_forms.segment_of(shape) for shape in (shape_a, shape_b)]
+        return closed_forms.segments(*halves, rotation[:, 2], translation)
+    found = search(*jax.lax.stop_gradient((shape_a, shape_b, rotation, translation)))
+    corners = []
+    for k, (shape, r, t) in enumerate(((shape_a, None, None), (shape_b, rotation, translation))):
+        if cores.is_polytope(shape):
+            own = cores.corners(shape)[found.numbers[:, k]]
+        else:
+            stretch = cores.stretches(shape)
+            frozen = found.points[k] if r is None else (found.points[k] - t) @ r
+            own = stretch * jax.lax.stop_gradient(frozen / stretch)
+        corners.append(own if r is None else own @ r.T + t)
+    distance, normal, point_a, point_b = features.of_polytopes(
+        found.distance, found.normal, found.weights, *corners
+    )
+    return Contact(distance, normal, point_a, point_b, found.lower, found.upper)
