@@ -2,12 +2,18 @@
 
 1000 asymmetric tops, 20 s; the error is the largest attitude error [rad] over all of them, against Adams of order 12
 at steps so fine that only round-off is left. heyoka (https://bluescarni.github.io/heyoka.py) is optional: its rows are
-left out where it is not installed. Run it with and without
-`XLA_FLAGS=--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=10000000`: the two differ by half.
+left out where it is not installed. Everything is measured twice: as XLA comes, and in a second process in which it may
+compile a whole loop to one kernel, which halves the time of the Adams method.
+
+    jaxrb bench --what adams
 """
 
 import functools
+import json
 import math
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -27,6 +33,7 @@ from jaxrb.scene.rollout import rollout
 from jaxrb.scene.scene import Scene
 from jaxrb.scene.solve import solve
 
+WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=10000000"
 BODIES, SPAN, GRAVITY = 1000, 20.0, 9.81
 MOMENTS, MGR = np.array([1.0, 1.5, 2.0]), np.array([0.3, 0.2, 1.0])
 # Order and steps; the pilot's choice varies with the tolerance, a table wants fixed points.
@@ -131,8 +138,23 @@ def heyoka_runs(varying: bool, wide: bool = False) -> dict[float, Callable[[], n
     }
 
 
-def rows(repeats: int = 5, wide: bool = False) -> Iterator[dict[str, Any]]:
+def rows() -> Iterator[dict[str, Any]]:
     """The table, a row at a time: field, method, setting, error [rad], µs a body, CPU seconds of the first call."""
+    with jax.enable_x64(True):
+        for row in measured():
+            yield row | {"xla": "as it comes"}
+    code = "import jax, json; from jaxrb.bench.adams import measured; jax.config.update('jax_enable_x64', True)\n"
+    code += "for row in measured(): print(json.dumps(row))"
+    environment = os.environ | {"XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {WHOLE_LOOPS}".strip()}
+    child = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    for line in child.stdout.splitlines():
+        yield json.loads(line) | {"xla": "whole loops"}
+
+
+def measured(repeats: int = 5, wide: bool = False) -> Iterator[dict[str, Any]]:
+    """The rows of this process."""
     q, omega = start(wide)
     for field, scene in scenes().items():
         state = scene.state(orientation=q, angular_velocity=omega)
@@ -175,10 +197,3 @@ def rows(repeats: int = 5, wide: bool = False) -> Iterator[dict[str, Any]]:
                 "us_a_body": 1e6 * median / BODIES,
                 "first_call_cpu_s": first,
             }
-
-
-if __name__ == "__main__":
-    from jaxrb.tables import table
-
-    with jax.enable_x64(True):
-        print(table(list(rows())))
