@@ -13,6 +13,7 @@ from jaxrb.accuracy.reference import Reference, errors
 from jaxrb.accuracy.reference import end_state as end_state
 from jaxrb.accuracy.reference import reference as reference_of
 from jaxrb.body.state import State
+from jaxrb.errors import JaxrbError
 from jaxrb.integrators.method import Method
 from jaxrb.integrators.names import METHODS
 from jaxrb.math.euler_angles import EulerAngles
@@ -30,6 +31,7 @@ REPRESENTATIONS: dict[str, type[Rotation]] = {
 }
 # The coarsest run turns the fastest body by so much a step [rad]; each further one takes a quarter of the step.
 COARSEST_TURN = 0.4
+SMOOTH_TOLERANCES = {"float64": (1e-4, 1e-7, 1e-10, 1e-12), "float32": (1e-3, 1e-4)}
 LEAST_SAMPLE = 2e-3  # [s]: shorter runs are repeated within one reading of the clock
 
 
@@ -161,6 +163,33 @@ def measure_closed_form(scene: Scene, state: State, exact: State, duration: floa
     ]  # fmt: skip
 
 
+def measure_smooth(scene: Scene, state: State, exact: State, duration: float) -> list[Point]:
+    """`solve_smooth` for a few tolerances, timed without the pilot that found its steps, which counts as compile time;
+    none where forces are not smooth."""
+    from jaxrb.scene.adams import solve_smooth  # a second to load, for a table that takes a minute
+
+    points = []
+    t1 = float(state.time) + duration
+    for tolerance in SMOOTH_TOLERANCES[np.dtype(state.dtype).name]:
+        start = time.process_time()
+        try:
+            found = solve_smooth(scene, state, t1=t1, tolerance=tolerance)
+        except JaxrbError:  # a kink, or a tolerance below round-off: the other points tell
+            continue
+
+        def run(steps: int = found.steps, order: int = found.order) -> Any:
+            return solve_smooth(scene, state, t1=t1, steps=steps, order=order).final
+
+        off = errors(scene, jax.block_until_ready(run()), exact)
+        first, seconds = time.process_time() - start, cpu_seconds(run, 3)
+        name, kind = state.orientation.name, np.dtype(state.dtype).name
+        points.append(
+            Point("solve_smooth", name, found.steps, duration / found.steps, off.attitude, seconds,
+                  max(first - seconds, 0.0), kind, off.position, off.energy)
+        )  # fmt: skip
+    return points
+
+
 def step_counts(scene: Scene, state: State, method: Method, duration: float, levels: int) -> list[int]:
     """Numbers of steps, each four times the last, from the coarsest that resolves spin and effects."""
     spin = float(np.linalg.norm(np.asarray(state.angular_velocity, float), axis=-1).max())
@@ -186,8 +215,8 @@ def work_precision(
 ) -> WorkPrecision:
     """Measure a scene with every method that applies, and the closed form where there is one.
 
-    Errors are those of the end state against `reference`. Single precision is measured on the same scene, whatever
-    JAX's default is. `progress` wraps the sequence of measurements, e.g. in a progress bar.
+    `solve_smooth` (Adams) and the closed form are among them where they apply. Errors are those of the end state
+    against `reference`. Single precision is measured on the same scene, whatever JAX's default is. `progress` wraps the sequence of measurements, e.g. in a progress bar.
     """
     with jax.enable_x64(True):
         exact = reference_of(example.scene, example.state(), example.duration)
@@ -201,6 +230,8 @@ def work_precision(
             state = example.state(kind, precision)
             if method is None:
                 points += measure_closed_form(example.scene, state, exact.state, example.duration)
+                if kind is not EulerAngles:
+                    points += measure_smooth(example.scene, state, exact.state, example.duration)
             else:
                 counts = step_counts(example.scene, state, method, example.duration, levels)
                 points += measure(example.scene, state, exact.state, method, example.duration, counts)
