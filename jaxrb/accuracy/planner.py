@@ -21,7 +21,8 @@ from jaxrb.accuracy.pilot import (
     predicted,
 )
 from jaxrb.accuracy.plan import Evidence, Plan
-from jaxrb.accuracy.work_precision import applicable, cpu_seconds
+from jaxrb.accuracy.timing import cpu_seconds
+from jaxrb.accuracy.work_precision import applicable
 from jaxrb.body.inertia import SphericalInertia
 from jaxrb.body.state import State
 from jaxrb.checks import is_concrete

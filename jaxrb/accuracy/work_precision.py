@@ -12,6 +12,7 @@ import numpy as np
 from jaxrb.accuracy.reference import Reference, errors
 from jaxrb.accuracy.reference import end_state as end_state
 from jaxrb.accuracy.reference import reference as reference_of
+from jaxrb.accuracy.timing import compiled, cpu_seconds
 from jaxrb.body.state import State
 from jaxrb.errors import JaxrbError
 from jaxrb.integrators.method import Method
@@ -32,7 +33,6 @@ REPRESENTATIONS: dict[str, type[Rotation]] = {
 # The coarsest run turns the fastest body by so much a step [rad]; each further one takes a quarter of the step.
 COARSEST_TURN = 0.4
 SMOOTH_TOLERANCES = {"float64": (1e-4, 1e-7, 1e-10, 1e-12), "float32": (1e-3, 1e-4)}
-LEAST_SAMPLE = 2e-3  # [s]: shorter runs are repeated within one reading of the clock
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,31 +84,6 @@ class WorkPrecision:
             "reference": self.reference.as_dict(),
             "points": [point.row() for point in self.points],
         }
-
-
-def cpu_seconds(run: Callable[[], Any], repeats: int = 5) -> float:
-    """Median CPU time of this process [s] for one call that is already compiled."""
-    start = time.process_time()
-    jax.block_until_ready(run())
-    once = max(time.process_time() - start, 1e-6)
-    calls = max(1, int(LEAST_SAMPLE / once))
-    samples = []
-    for _ in range(repeats):
-        start = time.process_time()
-        for _ in range(calls):
-            done = run()
-        jax.block_until_ready(done)
-        samples.append((time.process_time() - start) / calls)
-    return float(np.median(samples))
-
-
-def compiled(function: Any, *arguments: Any) -> tuple[Any, float, int]:
-    """A jitted function compiled for its arguments, the CPU time of that [s], and the program's scratch memory [B]."""
-    start = time.process_time()
-    program = function.lower(*arguments).compile()
-    seconds = time.process_time() - start
-    memory = program.memory_analysis()
-    return program, seconds, int(getattr(memory, "temp_size_in_bytes", 0) or 0)
 
 
 def measure(
@@ -216,7 +191,8 @@ def work_precision(
     """Measure a scene with every method that applies, and the closed form where there is one.
 
     `solve_smooth` (Adams) and the closed form are among them where they apply. Errors are those of the end state
-    against `reference`. Single precision is measured on the same scene, whatever JAX's default is. `progress` wraps the sequence of measurements, e.g. in a progress bar.
+    against `reference`. Single precision is measured on the same scene, whatever JAX's default is. `progress` wraps the
+    sequence of measurements, e.g. in a progress bar.
     """
     with jax.enable_x64(True):
         exact = reference_of(example.scene, example.state(), example.duration)

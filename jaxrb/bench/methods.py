@@ -15,7 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.accuracy.reference import end_state, errors, reference
-from jaxrb.bench.timing import both_clocks, cpu_of_first
+from jaxrb.accuracy.timing import cpu_of_first
+from jaxrb.bench.timing import both_clocks
 from jaxrb.body.body import Body, replicate
 from jaxrb.body.state import State
 from jaxrb.integrators.method import Method

@@ -11,8 +11,8 @@ from jaxrb.accuracy.pilot import COARSEST_TURN, first_steps
 from jaxrb.accuracy.plan import Plan
 from jaxrb.accuracy.planner import plan
 from jaxrb.accuracy.reference import Reference, end_state, errors, reference
+from jaxrb.accuracy.timing import interleaved
 from jaxrb.accuracy.work_precision import applicable
-from jaxrb.bench.timing import interleaved
 from jaxrb.body.state import State
 from jaxrb.errors import JaxrbError
 from jaxrb.integrators.method import Method

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.accuracy.reference import end_state
-from jaxrb.accuracy.work_precision import compiled
-from jaxrb.bench.timing import both_clocks, cpu_of_first
+from jaxrb.accuracy.timing import compiled, cpu_of_first
+from jaxrb.bench.timing import both_clocks
 from jaxrb.body.body import Body
 from jaxrb.body.state import State
 from jaxrb.effects.custom import CustomForce

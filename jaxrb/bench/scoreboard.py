@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.accuracy.reference import closed_form, end_state, reference
-from jaxrb.accuracy.work_precision import compiled
+from jaxrb.accuracy.timing import compiled
 from jaxrb.bench import peers
 from jaxrb.bench.published import GAZEBO_BOXES, TUMBLING_BRICK, Published
 from jaxrb.bench.rigid_body_problem import rigid_body_problem
