@@ -117,7 +117,9 @@ def normal_fan(shape: Shape, points: Any, rotation: Array | None) -> NormalFan:
         faces, edges = (jnp.moveaxis(numbers, 0, -1) for numbers in (shape.faces, shape.edges))
     else:
         _, faces, edges = (jnp.asarray(numbers)[..., None] for numbers in _inscribed(type(shape)))
-    a, b, c = (settled([gathered(points[:, k], faces[:, corner]) for k in range(3)]) for corner in range(3))
+    a, b, c = (
+        settled(tuple(gathered(points[:, k], faces[:, corner]) for k in range(3))) for corner in range(3)
+    )
     sides = [[end[k] - a[k] for k in range(3)] for end in (b, c)]
     normals = jnp.moveaxis(unit(cross(*sides)), 0, 1)
     return NormalFan(points, settled(normals), edges[:, 0], (edges[:, 2], edges[:, 3]))

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.collision.lanes import cross, dot
+from jaxrb.collision.lanes import cross, dot, first_of, settled
 
 # (3, L) directions to support points (3, L) and their numbers (L,).
 Support = Callable[[Any], tuple[Any, Any]]
@@ -20,13 +20,13 @@ Support = Callable[[Any], tuple[Any, Any]]
 class Simplex(NamedTuple):
     """What GJK ends with, for L pairs.
 
-    `nearest` (3, L) is the difference of smallest length, Σ weights · (points_a − points_b); `overlapping` says that the
-    simplex holds the origin. `lower` (L,) bounds the distance from below. `numbers` (4, L) are those of the vertices of
-    a times 65536 plus those of b.
+    `nearest` (3, L) is the difference of smallest length, Σ weights · differences; `overlapping` says that the simplex
+    holds the origin. `lower` (L,) bounds the distance from below. `numbers` (4, L) are those of the vertices of a times
+    65536 plus those of b; `points_a` (4, 3, L) is None where these suffice.
     """
 
+    differences: Any
     points_a: Any
-    points_b: Any
     numbers: Any
     weights: Any
     nearest: Any
@@ -42,69 +42,77 @@ def nearest_on_simplex(corners: Any) -> tuple[Any, Any, Any]:
 
     Only sub-simplices with the newest corner, the last, are tried: the others were in an earlier turn. Corners that are
     not in use are copies of the newest, which makes every sub-simplex with them degenerate, and those are passed over.
-    Each candidate is compared by its distance, so no case distinction can contradict itself through round-off.
+    Candidates are compared by their distance, so no case distinction can contradict itself through round-off; those of
+    one kind are computed as one array, which halves compile time, and stored before one is chosen, or each of the many
+    sums that a choice leads to would compute all of them again.
     """
     a, b, c, d = corners
-    zero = jnp.zeros_like(a[0])
-    one = jnp.ones_like(zero)
+    zero = jnp.zeros_like(d[0])
     tiny = jnp.finfo(zero.dtype).tiny
-    best = dot(d, d)
-    weights = (zero, zero, zero, one)
-
-    def better(candidate: Any, valid: Any, *proposed: Any) -> None:
-        nonlocal best, weights
-        take = valid & (candidate < best)
-        best = jnp.where(take, candidate, best)
-        weights = tuple(jnp.where(take, p, w) for p, w in zip(proposed, weights))
-
-    for i, corner in enumerate((a, b, c)):
-        side = corner - d
-        squared = dot(side, side)
-        t = -dot(d, side) / jnp.where(squared > 0, squared, 1.0)
-        point = d + t * side
-        proposed = [zero, zero, zero, 1.0 - t]
-        proposed[i] = t
-        better(dot(point, point), (t > 0) & (t < 1) & (squared > 0), *proposed)
-    for i, j, first, second in ((0, 1, a, b), (0, 2, a, c), (1, 2, b, c)):
-        normal = cross(first - d, second - d)
-        squared = dot(normal, normal)
-        safe = jnp.where(squared > 0, squared, 1.0)
-        u = dot(cross(second, d), normal) / safe
-        v = dot(cross(d, first), normal) / safe
-        w = 1.0 - u - v
-        height = dot(d, normal)
-        proposed = [zero, zero, zero, w]
-        proposed[i], proposed[j] = u, v
-        better(height * height / safe, (u > 0) & (v > 0) & (w > 0) & (squared > tiny), *proposed)
-    volumes = [dot(b, cross(c, d)), -dot(a, cross(c, d)), dot(a, cross(b, d))]
+    # Components first, candidates second.
+    others = jnp.moveaxis(corners[:3], 1, 0)
+    newest = d[:, None]
+    sides = others - newest
+    squared = dot(sides, sides)
+    t = -dot(newest, sides) / jnp.where(squared > 0, squared, 1.0)
+    points = newest + t * sides
+    # Made perpendicular once more: where the shapes nearly touch, a sum of long vectors has lost its direction.
+    points = points - sides * (dot(points, sides) / jnp.where(squared > 0, squared, 1.0))
+    on_edges = jnp.where((t > 0) & (t < 1) & (squared > 0), dot(points, points), jnp.inf)
+    first, second = (jnp.stack([others[:, k] for k in ks], axis=1) for ks in ((0, 0, 1), (1, 2, 2)))
+    normals = cross(first - newest, second - newest)
+    squared = dot(normals, normals)
+    safe = jnp.where(squared > 0, squared, 1.0)
+    u = dot(cross(second, newest), normals) / safe
+    v = dot(cross(newest, first), normals) / safe
+    w = 1.0 - u - v
+    height = dot(newest, normals)
+    on_faces = jnp.where((u > 0) & (v > 0) & (w > 0) & (squared > tiny), height * height / safe, jnp.inf)
     whole = dot(d - a, cross(b - d, c - d))
     safe = jnp.where(whole != 0, whole, 1.0)
-    shares = [x / safe for x in volumes]
-    shares.append(1.0 - shares[0] - shares[1] - shares[2])
-    inside = (shares[0] > 0) & (shares[1] > 0) & (shares[2] > 0) & (shares[3] > 0) & (jnp.abs(whole) > tiny)
-    better(-one, inside, *shares)
-    weights = jnp.stack(weights)
-    return weights, (weights[:, None] * corners).sum(axis=0), inside
+    c_d = cross(c, d)
+    p, q, r = dot(b, c_d) / safe, -dot(a, c_d) / safe, dot(a, cross(b, d)) / safe
+    rest = 1.0 - p - q - r
+    inside = (p > 0) & (q > 0) & (r > 0) & (rest > 0) & (jnp.abs(whole) > tiny)
+    in_whole = jnp.where(inside, -1.0, jnp.inf)
+    z, s = zero, 1.0 - t
+    weights = jnp.stack(
+        [z, z, z, zero + 1.0]
+        + [t[0], z, z, s[0], z, t[1], z, s[1], z, z, t[2], s[2]]
+        + [u[0], v[0], z, w[0], u[1], z, v[1], w[1], z, u[2], v[2], w[2]]
+        + [p, q, r, rest]
+    ).reshape(8, 4, -1)
+    values = jnp.concatenate([dot(d, d)[None], on_edges, on_faces, in_whole[None]])
+    on_plane = normals * (height / jnp.where(squared > 0, squared, 1.0))
+    nearest = jnp.concatenate([newest, points, on_plane, jnp.zeros_like(newest)], axis=1)
+    choices = jnp.concatenate([weights, jnp.moveaxis(nearest, 0, 1)], axis=1)
+    values, choices = settled((values, choices))
+    chosen = first_of(values <= values.min(axis=0))
+    candidates = lax.broadcasted_iota(jnp.int32, (8, 1, 1), 0)
+    choice = jnp.where(candidates == chosen, choices, 0.0).sum(axis=0)
+    return choice[:4], choice[4:], values[7] < 0
 
 
-def gjk(support_a: Support, support_b: Support, towards: Any, scale: Any, turns: int) -> Simplex:
+def gjk(
+    support_a: Support, support_b: Support, towards: Any, scale: Any, turns: int, remember: bool
+) -> Simplex:
     """GJK for L pairs, until every one is done or `turns` are over.
 
     Args:
         towards: (3, L), a first guess of the direction from a to b, not zero.
         scale: (L,), the largest coordinate that appears; distances are found to a few round-offs of it.
+        remember: keep the points of a, where they cannot be looked up by number.
     """
     eps = jnp.finfo(towards.dtype).eps
     point_a, number_a = support_a(towards)
     point_b, number_b = support_b(-towards)
     difference = point_a - point_b
-    zeros = jnp.zeros_like(scale)
     false = jnp.zeros(scale.shape, bool)
     start = Simplex(
-        points_a=jnp.stack([point_a] * 4),
-        points_b=jnp.stack([point_b] * 4),
+        differences=jnp.stack([difference] * 4),
+        points_a=jnp.stack([point_a] * 4) if remember else None,
         numbers=jnp.stack([number_a * 65536 + number_b] * 4),
-        weights=jnp.stack([jnp.ones_like(scale), zeros, zeros, zeros]),
+        weights=jnp.zeros((4, *scale.shape), scale.dtype).at[0].set(1.0),
         nearest=difference,
         squared=dot(difference, difference),
         lower=jnp.full_like(scale, -jnp.inf),
@@ -116,26 +124,24 @@ def gjk(support_a: Support, support_b: Support, towards: Any, scale: Any, turns:
     def turn(s: Simplex) -> Simplex:
         point_a, number_a = support_a(-s.nearest)
         point_b, number_b = support_b(s.nearest)
-        difference = point_a - point_b
+        difference, number = settled((point_a - point_b, number_a * 65536 + number_b))
         reach = dot(s.nearest, difference)
         length = jnp.sqrt(jnp.where(s.squared > 0, s.squared, 1.0))
         lower = jnp.maximum(s.lower, jnp.where(s.done | (s.squared <= 0), -jnp.inf, reach / length))
-        number = number_a * 65536 + number_b
         converged = (s.squared - reach <= 4 * eps * length * scale) | (s.squared <= (4 * eps * scale) ** 2)
         # The newest corner goes last; a corner in use there moves to the first place that is free.
-        free = _first_free(s.weights)
-        place = lax.broadcasted_iota(jnp.int32, s.weights.shape, 0) == free
-        kept = jnp.where(place, s.weights[3], s.weights) > 0
+        places = lax.broadcasted_iota(jnp.int32, s.weights.shape, 0)
+        place = places == _first_free(s.weights)
+        kept = (jnp.where(place, s.weights[3], s.weights) > 0) & (places < 3)
 
         def arranged(old: Any, new: Any) -> Any:
-            wide = (slice(None), None) if old.ndim == 3 else slice(None)
-            moved = jnp.where(place[wide], old[3:], old)
-            return jnp.where(kept[wide], moved, new[None]).at[3].set(new)
+            if old.ndim == 3:
+                return jnp.where(kept[:, None], jnp.where(place[:, None], old[3:], old), new)
+            return jnp.where(kept, jnp.where(place, old[3:], old), new)
 
-        points_a = arranged(s.points_a, point_a)
-        points_b = arranged(s.points_b, point_b)
-        numbers = arranged(s.numbers, number)
-        weights, nearest, inside = nearest_on_simplex(points_a - points_b)
+        differences = settled(arranged(s.differences, difference))
+        weights, nearest, inside = nearest_on_simplex(differences)
+        weights, nearest = settled((weights, nearest))
         squared = jnp.where(inside, 0.0, dot(nearest, nearest))
         stop = s.done | converged | (squared >= s.squared)
 
@@ -143,9 +149,9 @@ def gjk(support_a: Support, support_b: Support, towards: Any, scale: Any, turns:
             return jnp.where(stop, old, new)
 
         return Simplex(
-            unless(s.points_a, points_a),
-            unless(s.points_b, points_b),
-            unless(s.numbers, numbers),
+            unless(s.differences, differences),
+            unless(s.points_a, arranged(s.points_a, point_a)) if remember else None,
+            unless(s.numbers, arranged(s.numbers, number)),
             unless(s.weights, weights),
             unless(s.nearest, nearest),
             unless(s.squared, squared),
@@ -156,8 +162,7 @@ def gjk(support_a: Support, support_b: Support, towards: Any, scale: Any, turns:
         )
 
     found = lax.while_loop(lambda s: (s.turns < turns) & ~jnp.all(s.done), turn, start)
-    near = found.squared <= (4 * eps * scale) ** 2
-    return found._replace(overlapping=found.overlapping | near)
+    return found._replace(overlapping=found.overlapping | (found.squared <= (4 * eps * scale) ** 2))
 
 
 def _first_free(weights: Any) -> Any:

@@ -43,12 +43,9 @@ def first_of(mask: Any) -> Any:
 
 
 def row(table: Any, number: Any) -> Any:
-    """Row `number` (L,) of a table (n, ..., L) or (n, ..., 1): shape (..., L)."""
-    lanes = number.shape[-1]
-    if table.shape[-1] != lanes:
-        return jnp.moveaxis(table[..., 0][number], 0, -1)
-    index = number.reshape((1,) * (table.ndim - 1) + (lanes,))
-    return jnp.take_along_axis(table, index, axis=0, mode="promise_in_bounds")[0]
+    """Row `number` (L,) of a table (n, ..., L) or (n, ..., 1): shape (..., L). Cheapest where rows are few."""
+    numbers = lax.broadcasted_iota(jnp.int32, (table.shape[0], *(1,) * (table.ndim - 1)), 0)
+    return jnp.where(numbers == number, table, 0).sum(axis=0, dtype=table.dtype)
 
 
 def gathered(table: Any, numbers: Any) -> Any:
@@ -64,6 +61,8 @@ def settled(values: Any) -> Any:
     The compiler would otherwise form them again in every loop that reads them: `optimization_barrier` does not stop
     it, a branch that it cannot foresee does. The other branch is never taken.
     """
+    if not isinstance(values, tuple):
+        return settled((values,))[0]
     probe = jax.tree.leaves(values)[0].ravel()[0]
     return lax.cond(
         (probe <= 0) | ~(probe <= 0), lambda x: x, lambda x: jax.tree.map(jnp.negative, x), values

@@ -119,7 +119,7 @@ def _topology(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, n
     a, b, c = points[triangles[:, 0]], points[triangles[:, 1]], points[triangles[:, 2]]
     backward = np.einsum("ti,ti->t", np.cross(b - a, c - a), normals) < 0
     triangles[backward] = triangles[backward][:, ::-1]
-    face_of = _planes(normals, quickhull.neighbors)
+    face_of = _planes(points, triangles, normals, quickhull.neighbors)
     faces = np.array(
         [
             _corners(points, triangles[face_of == f], normals[face_of == f][0])
@@ -172,8 +172,28 @@ def _quickhull(points: np.ndarray) -> Any:
         raise InvalidInput(f"ConvexHull.vertices: no hull was found: {str(error).splitlines()[0]}") from error
 
 
-def _planes(normals: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
-    """The number of the plane face of each triangle (t,): neighbours with one normal are one face."""
+def _planes(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
+    """The number of the plane face of each triangle (t,): neighbours with one normal are one face.
+
+    Where points nearly coincide quickhull joins triangles that are not quite in one plane; such faces are left apart.
+    """
+    face_of = _joined(normals, neighbours)
+    count = face_of.max() + 1
+    size = np.abs(points - points.mean(axis=0)).max()
+    for face in range(count):
+        members = np.nonzero(face_of == face)[0]
+        if len(members) == 1:
+            continue
+        a, b, c = points[_corners(points, triangles[members], normals[members[0]])]
+        normal = np.cross(b - a, c - a)
+        off = (points[triangles[members]] - a) @ (normal / np.linalg.norm(normal))
+        if np.abs(off).max() > 8 * np.finfo(float).eps * size:
+            face_of[members[1:]] = np.arange(count, count + len(members) - 1)
+            count += len(members) - 1
+    return face_of
+
+
+def _joined(normals: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     face_of = np.full(len(normals), -1)
     count = 0
     for start in range(len(normals)):
