@@ -1,5 +1,8 @@
 """Floor 2: shapes, no dynamics."""
 
+from jaxrb.geometry.bounds import bounding_box as bounding_box
+from jaxrb.geometry.bounds import bounding_sphere as bounding_sphere
+from jaxrb.geometry.bounds import oriented_box as oriented_box
 from jaxrb.geometry.decomposition import convex_decomposition as convex_decomposition
 from jaxrb.geometry.hull import ConvexHull as ConvexHull
 from jaxrb.geometry.hull import stack_hulls as stack_hulls
