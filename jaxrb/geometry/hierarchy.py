@@ -4,6 +4,7 @@ The tree is binary, complete and stored in order: node i has the children 2i and
 its arrays does not depend on how the items lie, and a program made for one tree serves every tree of as many items.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -41,9 +42,14 @@ class Hierarchy(eqx.Module):
         """Levels below the root."""
         return self.leaves.bit_length() - 1
 
+    @classmethod
+    def over(cls, items: Array, low: Array, high: Array) -> "Hierarchy":
+        """The tree whose leaves hold items in a given order, dealt out (`dealt`). Pure; `hierarchy_of` finds one."""
+        return cls(_family(items, low, high), items)
+
     def refitted(self, low: Array, high: Array) -> "Hierarchy":
         """The same tree over items that have moved: their boxes low (n, 3), high (n, 3) [m]. Pure; use it in a step."""
-        return Hierarchy(_family(self.items, low, high), self.items)
+        return Hierarchy.over(self.items, low, high)
 
 
 def hierarchy_of(low: Any, high: Any) -> Hierarchy:
@@ -129,6 +135,7 @@ def walk(
     capacity: int,
     *,
     halves: bool = False,
+    keep: Callable[[Array, Array], Array] | None = None,
 ) -> Walk:
     """Descend both trees together; `rotation` (3, 3), `translation` (3,) place b in the frame of a.
 
@@ -139,6 +146,7 @@ def walk(
         reach: pairs farther apart than this [m] are left out; round-off is allowed for.
         capacity: most pairs.
         halves: a and b are one tree in one place; each pair of different items is then found once.
+        keep: of items (k,), (k,): which pairs (k,) to keep.
     """
     reach = reach + round_off(a, b, translation)
     lane = jnp.arange(_LANES)
@@ -157,6 +165,8 @@ def walk(
         children = jnp.where(nodes < jnp.array([[a.leaves], [b.leaves]]), 2, 1)
         tests += jnp.sum(jnp.where(lane < taken, children[0] * children[1], 0), dtype=jnp.int32)
         pairs, near, last = pairs.reshape(2, -1), near.ravel(), last.ravel()
+        if keep is not None:
+            near &= ~last | keep(*_items_at(a, b, pairs))
         blocks, added = _compacted(pairs, jnp.stack([near & ~last, near & last]))
         stack = lax.dynamic_update_slice_in_dim(stack, blocks[0], top - taken, 0)
         found = lax.dynamic_update_slice_in_dim(found, blocks[1], count, 0)
