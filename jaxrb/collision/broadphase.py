@@ -146,6 +146,6 @@ def _morton(points: Array) -> Array:
             (0x11, 0xC30C30C3),
             (0x5, 0x49249249),
         ):
-            value = (value * factor) & mask
-        code |= value << axis
+            value = (value * np.uint32(factor)) & np.uint32(mask)
+        code |= value << np.uint32(axis)
     return code
