@@ -32,7 +32,7 @@ def demo(
 
 def bench(
     *,
-    what: Literal["speed", "flight", "methods", "adams", "peers"] = "speed",
+    what: Literal["speed", "flight", "methods", "adams", "peers", "bounds"] = "speed",
     planner: bool = False,
     json: bool = False,
 ) -> None:
@@ -44,7 +44,8 @@ def bench(
 
     Args:
         what: speed of steps and gradients; the closed form of free flight; all methods beside each other; stabilised
-            Adams beside its peers; one body beside MuJoCo, diffrax and SciPy at equal error.
+            Adams beside its peers; one body beside MuJoCo, diffrax and SciPy at equal error;
+            bounding volumes, the hierarchy of boxes and the broad phase.
         planner: instead, the time of the planner's picks over the best that a fine search finds, on a grid of scenes
             and tolerances (some minutes).
         json: print one JSON object instead of a table.

@@ -16,7 +16,7 @@ from jaxrb.geometry.hierarchy import Hierarchy, dealt, walk
 from jaxrb.math.arrays import Array, Scalar
 
 # Above so many bodies the hierarchy is cheaper than all pairs.
-_FEW = 128
+_FEW = 256
 
 
 class BodyPairs(NamedTuple):

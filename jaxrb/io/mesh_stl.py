@@ -11,7 +11,15 @@ from jaxrb.io.mesh_bytes import Arrays, too_many
 _HEADER, _RECORD = 84, 50
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 # Longer words first, since each is blanked out before the next is counted; and how often a facet has it.
-_WORDS = ((b"endfacet", 1), (b"endloop", 1), (b"facet", 1), (b"normal", 1), (b"outer", 1), (b"loop", 1), (b"vertex", 3))
+_WORDS = (
+    (b"endfacet", 1),
+    (b"endloop", 1),
+    (b"facet", 1),
+    (b"normal", 1),
+    (b"outer", 1),
+    (b"loop", 1),
+    (b"vertex", 3),
+)
 
 
 def read_stl(where: str, data: bytes, max_triangles: int) -> Arrays:

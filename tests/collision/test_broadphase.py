@@ -9,7 +9,7 @@ from rotation_samples import QUICK
 from jaxrb.collision.broadphase import body_pairs
 from jaxrb.errors import LimitExceeded, WrongStructure
 
-FEW, MANY, CAPACITY = 20, 200, 1500
+FEW, MANY, CAPACITY = 20, 300, 2500
 
 
 def boxes(count, seed, dtype):
