@@ -19,6 +19,7 @@ from jaxrb.body import (
     replicate,
     valid_inertia,
 )
+from jaxrb.collision import Contact, separation
 from jaxrb.effects import (
     BodyThruster,
     CustomForce,
@@ -96,7 +97,9 @@ from jaxrb.scene import (
 )
 
 if TYPE_CHECKING:
+    from jaxrb.accuracy.cost import CostReport, cost
     from jaxrb.accuracy.planner import Plan, plan
+    from jaxrb.accuracy.recommend import Recommendation, recommend
     from jaxrb.fit import InertiaFit, RatiosNotIdentifiable, fit_inertia
     from jaxrb.io import Recording, read_mesh, read_recording, write_recording
     from jaxrb.scene.adams import SmoothPath, solve_smooth
@@ -105,6 +108,10 @@ __version__ = "0.1.0"
 
 # Loaded when first asked for: not every program fits a recording or plans a run, and `import jaxrb` is waiting time.
 _LATER = {
+    "CostReport": "jaxrb.accuracy.cost",
+    "cost": "jaxrb.accuracy.cost",
+    "Recommendation": "jaxrb.accuracy.recommend",
+    "recommend": "jaxrb.accuracy.recommend",
     "Plan": "jaxrb.accuracy.planner",
     "plan": "jaxrb.accuracy.planner",
     "InertiaFit": "jaxrb.fit",

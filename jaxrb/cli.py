@@ -1,4 +1,4 @@
-"""The command line: `jaxrb demo | work-precision | plan | scoreboard | fit | bench`."""
+"""The command line: `jaxrb demo | work-precision | plan | cost | scoreboard | fit | bench`."""
 
 import importlib
 import json as json_text
@@ -32,7 +32,7 @@ def demo(
 
 def bench(
     *,
-    what: Literal["speed", "flight", "methods", "adams", "peers", "bounds"] = "speed",
+    what: Literal["speed", "flight", "methods", "adams", "peers", "effects", "bounds"] = "speed",
     planner: bool = False,
     json: bool = False,
 ) -> None:
@@ -44,8 +44,8 @@ def bench(
 
     Args:
         what: speed of steps and gradients; the closed form of free flight; all methods beside each other; stabilised
-            Adams beside its peers; one body beside MuJoCo, diffrax and SciPy at equal error;
-            bounding volumes, the hierarchy of boxes and the broad phase.
+            Adams beside its peers; one body beside MuJoCo, diffrax and SciPy at equal error; whether a scene
+            pays only for its effects; bounding volumes, the hierarchy of boxes and the broad phase.
         planner: instead, the time of the planner's picks over the best that a fine search finds, on a grid of scenes
             and tolerances (some minutes).
         json: print one JSON object instead of a table.
@@ -89,6 +89,7 @@ COMMANDS = {
     "demo": lambda: demo,
     "work-precision": lambda: _command("work_precision"),
     "plan": lambda: _command("plan"),
+    "cost": lambda: _command("cost"),
     "scoreboard": lambda: _command("scoreboard"),
     "fit": _fit_command,
     "bench": lambda: bench,

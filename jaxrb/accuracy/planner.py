@@ -78,7 +78,7 @@ def plan(
     """
     check_fit(scene, state)
     check_tolerance("plan: tolerance", tolerance)
-    duration = _duration(scene, state, t1)
+    duration = duration_of("plan", scene, state, t1)
     candidates = _candidates(state, methods)
     question = plan_cache.question(scene, state, duration, tolerance, candidates)
     known = plan_cache.recall(question, candidates, cache)
@@ -88,15 +88,16 @@ def plan(
     return known
 
 
-def _duration(scene: Scene, state: State, t1: Any) -> float:
+def duration_of(who: str, scene: Scene, state: State, t1: Any) -> float:
+    """The time [s] from a state to `t1`, of numbers that are known and in order."""
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, state, t1))):
         raise WrongStructure(
-            "plan: cannot run inside jit, grad or vmap; plan outside, and use its method and steps"
+            f"{who}: cannot run inside jit, grad or vmap; plan outside, and use its method and steps"
         )
     duration = float(t1) - float(state.time)
     if not (np.isfinite(duration) and duration > 0):
         raise InvalidInput(
-            f"plan: t1 is {t1!r} s, but must be finite and later than the state's {float(state.time)} s"
+            f"{who}: t1 is {t1!r} s, but must be finite and later than the state's {float(state.time)} s"
         )
     return duration
 

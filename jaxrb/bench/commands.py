@@ -1,4 +1,4 @@
-"""The commands `jaxrb work-precision`, `jaxrb plan` and `jaxrb scoreboard`."""
+"""The commands `jaxrb work-precision`, `jaxrb plan`, `jaxrb cost` and `jaxrb scoreboard`."""
 
 import json as json_text
 import math
@@ -156,6 +156,53 @@ def plan(
     span = example.duration if duration is None else duration
     found = planned(example.scene, state, float(state.time) + span, tolerance)
     print(json_text.dumps(found.as_dict()) if json else found.summary())
+
+
+def cost(
+    scene: str,
+    *,
+    tolerance: float | None = None,
+    dt: float | None = None,
+    method: str = "RungeKutta4",
+    figure: Path | None = None,
+    json: bool = False,
+) -> None:
+    """What each effect of a scene costs, what leaving it out changes, and which effects the scene calls for.
+
+    For every effect: its share of a step's CPU time, equations, operations and compile time that go when it goes, and
+    how far the motion then is from the whole scene's over the scene's duration.
+
+    Example: jaxrb cost thrown_brick --tolerance 1e-3
+
+    Args:
+        scene: a name or a Python file, as for work-precision.
+        tolerance: [rad and m]; name the effects that the scene can do without within it.
+        dt: step [s]; by default a thousandth of the scene's duration.
+        method: how to advance.
+        figure: draw a picture into this file.
+        json: print one JSON object instead of text.
+    """
+    from jaxrb.accuracy.cost import cost as measured
+    from jaxrb.accuracy.recommend import recommend
+    from jaxrb.scene.library import example_of
+
+    example = example_of(scene)
+    state = example.state()
+    step = example.duration / 1000 if dt is None else dt
+    steps = max(1, round(example.duration / step))
+    found = measured(example.scene, state, dt=step, steps=steps, method=method)
+    advice = None
+    if tolerance is not None:
+        advice = recommend(example.scene, state, float(state.time) + example.duration, tolerance)
+    if figure is not None:
+        from jaxrb.view import figures
+
+        figures.save(figures.cost_figure(found, example.name), figure)
+    if json:
+        plain = {"cost": found.as_dict(), "recommendation": None if advice is None else advice.as_dict()}
+        print(json_text.dumps(plain))
+        return
+    print("\n\n".join(part.summary() for part in (found, advice) if part is not None))
 
 
 def scoreboard(*, row: str = "all", json: bool = False) -> None:

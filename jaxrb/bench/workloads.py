@@ -155,7 +155,7 @@ def rows() -> Iterator[dict[str, Any]]:
 
 
 def row(
-    what: str, figure: float, unit: str, goal: float | None, compile_seconds: float | None = None
+    what: str, figure: float, unit: str, goal: float | str | None, compile_seconds: float | None = None
 ) -> dict:
     return {
         "what": what,

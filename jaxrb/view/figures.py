@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxrb.accuracy.cost import CostReport
 from jaxrb.accuracy.drift import DriftRun
 from jaxrb.accuracy.work_precision import Point
 from jaxrb.errors import JaxrbError
@@ -147,6 +148,25 @@ def work_precision_figure(points: Sequence[Point], bodies: int, known: float = 0
         axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     else:
         axes.legend(fontsize=8)
+    return figure
+
+
+def cost_figure(report: CostReport, title: str = "") -> Any:
+    """What each effect takes of a step, and how far the motion is off without it."""
+    figure = new_figure((10.0, 0.6 * len(report.effects) + 2.2))
+    left, right = figure.subplots(1, 2, sharey=True)
+    names = [effect.name for effect in report.effects] + ["the motion itself"]
+    shares = [100.0 * effect.share for effect in report.effects] + [100.0 * report.share_of_motion]
+    left.barh(names, shares, color=["C0"] * len(report.effects) + ["0.7"])
+    left.invert_yaxis()
+    left.set(xlabel="share of a step's CPU time [%]", title=title)
+    apart = [(effect.name, effect.difference) for effect in report.effects if effect.difference is not None]
+    for field, unit, marker in (("attitude", "rad", "o"), ("position", "m", "s")):
+        values = [max(getattr(found, field), 1e-16) for _, found in apart]
+        right.semilogx(values, [name for name, _ in apart], marker, label=f"{field} [{unit}]")
+    right.set(xlabel="difference without the effect, at most")
+    right.legend(fontsize=8)
+    right.grid(alpha=0.3)
     return figure
 
 
