@@ -56,7 +56,7 @@ def sphere_ratio() -> float:
         states.position[:, 0].T, states.orientation.as_quaternion_array()[:, 0].T, states.velocity[:, 0].T,
         states.angular_velocity[:, 0].T,
     )  # fmt: skip
-    by_hand = jax.jit(lambda *n: hand_written_sphere(*n, 1e-3, STEPS))
+    by_hand = jax.jit(lambda p, q, v, w: hand_written_sphere(p, q, v, w, 1e-3, STEPS))
     mine, theirs = interleaved([lambda: engine(states), lambda: by_hand(*numbers)], rounds=31)
     return mine / theirs
 
