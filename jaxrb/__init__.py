@@ -21,12 +21,21 @@ from jaxrb.body import (
 )
 from jaxrb.collision import Contact, separation
 from jaxrb.effects import (
+    AngularSpring,
     BodyThruster,
+    Buoyancy,
+    CentralGravity,
     CustomForce,
     Effect,
     FixedPoint,
     Force,
+    GravityGradient,
     LinearDrag,
+    MagneticTorque,
+    MagnusForce,
+    Motor,
+    MutualGravity,
+    PlateAerodynamics,
     PrescribedTorque,
     QuadraticDrag,
     SpringDamper,

@@ -3,13 +3,13 @@
 The depth is the smallest F(n) = max n·a − min n·b over unit vectors n: how far b must move along n to leave a. On the
 sphere of normals every edge of a is an arc between the normals of its two faces; together with the same picture of −b
 the arcs cut the sphere into cells with one support point of each body. Inside a cell or an arc of a cell F has no
-minimum where the bodies overlap, so the smallest value lies at a face normal of a or b or where an arc of a crosses one
-of b. Crossings are not enumerated: between two normals whose support points on b are q1 and q2, F is at least the larger
-of n·(p − q1) and n·(p − q2), which bounds it from below by their common value at the crossing. Arcs whose bound beats the
-best value so far are cut in two there, the others need no look.
+minimum where the bodies overlap, so the smallest value lies at a face normal of a or b or where an arc of a crosses
+one of b. Crossings are not enumerated: between two normals whose support points on b are q1 and q2, F is at least the
+larger of n·(p − q1) and n·(p − q2), which bounds it from below by their common value at the crossing. Arcs whose
+bound beats the best value so far are cut in two there, the others need no look.
 
-Any normal that is tried gives an upper bound of the depth, the arcs not yet cut a lower one: the answer carries its own
-certificate.
+Any normal that is tried gives an upper bound of the depth, the arcs not yet cut a lower one: the answer carries its
+own certificate.
 """
 
 from typing import Any, NamedTuple
@@ -117,7 +117,7 @@ def _crossing(n1: Any, n2: Any, q1: Any, q2: Any) -> tuple[Any, Any]:
 
 
 def _lower_bound(p: Any, n1: Any, n2: Any, q1: Any, q2: Any) -> Any:
-    """The least that n·p − min n·b can be between n1 and n2, the ends left out; infinite where one point supports all."""
+    """The least that n·p − min n·b can be between n1 and n2, without the ends; infinite if one point supports all."""
     t, exists = _crossing(n1, n2, q1, q2)
     lever = [p[k] - q1[k] for k in range(3)]
     s1, s2 = dot(n1, lever), dot(n2, lever)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxrb.collision.contact import Contact
-from jaxrb.geometry.primitives import Box, Capsule, HalfSpace, Sphere
+from jaxrb.geometry.primitives import Box, Capsule, HalfSpace
 from jaxrb.geometry.shape import Shape
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.safe import divide, norm, unit_or
@@ -50,10 +50,10 @@ def sphere_and_box(box: Box, center: Vector) -> Contact:
 
 
 def segments(half_a: Scalar, half_b: Scalar, direction: Vector, center: Vector) -> Contact:
-    """Two segments, the cores of capsules and spheres: one along z about the origin, one along `direction` about `center`.
+    """Two segments, the cores of capsules and spheres: along z about the origin, along `direction` about `center`.
 
-    Nearest points of two segments (Ericson 2004, "Real-time collision detection", 5.1.9). Where they cross, the way out
-    is across both.
+    Nearest points of two segments (Ericson 2004, "Real-time collision detection", 5.1.9). Where they cross, the way
+    out is across both.
     """
     z = jnp.zeros_like(center).at[2].set(1.0)
     b = dot(z, direction)
@@ -68,7 +68,8 @@ def segments(half_a: Scalar, half_b: Scalar, direction: Vector, center: Vector) 
     away = point_b - point_a
     x = jnp.zeros_like(center).at[0].set(1.0)
     sideways = unit_or(across, unit_or(center - c * z, x))
-    # Crossing segments overlap by their radii alone, and the way out is across both: towards b's centre, if that tells.
+    # Crossing segments overlap by their radii alone, and the way out is across both: towards b's centre, if that
+    # tells.
     sideways = sideways * jnp.where(dot(sideways, center) < 0, -1.0, 1.0)
     normal = unit_or(away, sideways)
     return certified(norm(away), normal, point_a, point_b)

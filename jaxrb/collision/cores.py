@@ -1,7 +1,8 @@
 """What the search for the distance sees of a shape: its core, as corners or as a support map, for many pairs at once.
 
-Sphere, capsule, box and hull are polytopes of corners (with a rounding radius). Ellipsoid, cylinder and cone are smooth:
-linear images of one unit solid each. A polytope inscribed in that unit solid stands for them where the search needs faces.
+Sphere, capsule, box and hull are polytopes of corners (with a rounding radius). Ellipsoid, cylinder and cone are
+smooth: linear images of one unit solid each. A polytope inscribed in that unit solid stands for them where the search
+needs faces.
 """
 
 import functools
@@ -42,7 +43,7 @@ def corners(shape: Shape) -> Array:
         half = jnp.asarray(shape.half_extents)[..., None, :]
         return half * _BOX_SIGNS.astype(half.dtype)
     stretch = stretches(shape)[..., None, :]
-    return stretch * _inscribed(type(shape))[0].astype(stretch.dtype)
+    return stretch * _inscribed(type(shape).__name__)[0].astype(stretch.dtype)
 
 
 def stretches(shape: Shape) -> Array:
@@ -108,7 +109,7 @@ def normal_fan(shape: Shape, points: Any, rotation: Array | None) -> NormalFan:
     """Faces and edges of a core or of its inscribed polytope whose points (n, 3, L) are placed already."""
     lanes = points.shape[-1]
     if isinstance(shape, (Box, Capsule, Sphere)):
-        own, edges = _own_normals(type(shape))
+        own, edges = _own_normals(type(shape).__name__)
         edges = jnp.asarray(edges)
         normals = placed(jnp.broadcast_to(own.astype(points.dtype), (1, *own.shape)), rotation, None)
         normals = jnp.broadcast_to(normals, (*normals.shape[:2], lanes))
@@ -116,7 +117,7 @@ def normal_fan(shape: Shape, points: Any, rotation: Array | None) -> NormalFan:
     if isinstance(shape, ConvexHull):
         faces, edges = (jnp.moveaxis(numbers, 0, -1) for numbers in (shape.faces, shape.edges))
     else:
-        _, faces, edges = (jnp.asarray(numbers)[..., None] for numbers in _inscribed(type(shape)))
+        _, faces, edges = (jnp.asarray(numbers)[..., None] for numbers in _inscribed(type(shape).__name__))
     a, b, c = (
         settled(tuple(gathered(points[:, k], faces[:, corner]) for k in range(3))) for corner in range(3)
     )
@@ -126,28 +127,29 @@ def normal_fan(shape: Shape, points: Any, rotation: Array | None) -> NormalFan:
 
 
 @functools.cache
-def _own_normals(kind: type) -> tuple[np.ndarray, np.ndarray]:
+def _own_normals(kind: str) -> tuple[np.ndarray, np.ndarray]:
     """Normals (f, 3) that do not depend on sizes, and edges (e, 4) as in a hull."""
-    if kind is Sphere:
+    if kind == "Sphere":
         return np.zeros((0, 3)), np.zeros((0, 4), np.int32)
-    if kind is Capsule:
+    if kind == "Capsule":
         # A segment as a prism of no width: its normals fill the circle across it, here in four arcs.
         around = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], float)
         return around, np.array([[0, 1, k, (k + 1) % 4] for k in range(4)], np.int32)
     hull = ConvexHull(_BOX_SIGNS)
-    normals = np.cross(*(_BOX_SIGNS[hull.faces[:, k]] - _BOX_SIGNS[hull.faces[:, 0]] for k in (1, 2)))
+    a, b, c = (_BOX_SIGNS[hull.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
     return normals / np.linalg.norm(normals, axis=1, keepdims=True), hull.edges
 
 
 @functools.cache
-def _inscribed(kind: type) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _inscribed(kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Corners (n, 3), faces (f, 3) and edges (e, 4) of a polytope inside the unit solid, touching it at its corners."""
     angle = np.arange(16) * (np.pi / 8)
     rim = np.stack([np.cos(angle), np.sin(angle), np.zeros(16)], axis=1)
     up = np.array([0.0, 0.0, 1.0])
-    if kind is Cylinder:
+    if kind == "Cylinder":
         points = np.concatenate([rim - up, rim + up])
-    elif kind is Cone:
+    elif kind == "Cone":
         points = np.concatenate([rim, up[None]])
     else:
         golden = (1 + 5**0.5) / 2
@@ -158,3 +160,8 @@ def _inscribed(kind: type) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         points /= np.linalg.norm(points, axis=1, keepdims=True)
     hull = ConvexHull(points)
     return np.asarray(hull.vertices), np.asarray(hull.faces), np.asarray(hull.edges)
+
+
+def directions() -> np.ndarray:
+    """Unit vectors (42, 3) spread evenly."""
+    return _inscribed("Ellipsoid")[0]

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.collision.lanes import cross, dot, first_of, settled
+from jaxrb.collision.lanes import cross, dot, settled
 
 # (3, L) directions to support points (3, L) and their numbers (L,).
 Support = Callable[[Any], tuple[Any, Any]]
@@ -21,8 +21,8 @@ class Simplex(NamedTuple):
     """What GJK ends with, for L pairs.
 
     `nearest` (3, L) is the difference of smallest length, Σ weights · differences; `overlapping` says that the simplex
-    holds the origin. `lower` (L,) bounds the distance from below. `numbers` (4, L) are those of the vertices of a times
-    65536 plus those of b; `points_a` (4, 3, L) is None where these suffice.
+    holds the origin. `lower` (L,) bounds the distance from below. `numbers` (4, L) are those of the vertices of a
+    times 65536 plus those of b; `points_a` (4, 3, L) is None where these suffice.
     """
 
     differences: Any
@@ -40,11 +40,11 @@ class Simplex(NamedTuple):
 def nearest_on_simplex(corners: Any) -> tuple[Any, Any, Any]:
     """The point nearest to the origin of simplices (4, 3, L): weights (4, L), the point (3, L), whether it holds it.
 
-    Only sub-simplices with the newest corner, the last, are tried: the others were in an earlier turn. Corners that are
-    not in use are copies of the newest, which makes every sub-simplex with them degenerate, and those are passed over.
-    Candidates are compared by their distance, so no case distinction can contradict itself through round-off; those of
-    one kind are computed as one array, which halves compile time, and stored before one is chosen, or each of the many
-    sums that a choice leads to would compute all of them again.
+    Only sub-simplices with the newest corner, the last, are tried: the others were in an earlier turn. Corners that
+    are not in use are copies of the newest, which makes every sub-simplex with them degenerate, and those are passed
+    over. Candidates are compared by their distance, so no case distinction can contradict itself through round-off;
+    those of one kind are computed as one array, which halves compile time, and stored before one is chosen, or each
+    of the many sums that a choice leads to would compute all of them again.
     """
     a, b, c, d = corners
     zero = jnp.zeros_like(d[0])
@@ -76,31 +76,35 @@ def nearest_on_simplex(corners: Any) -> tuple[Any, Any, Any]:
     inside = (p > 0) & (q > 0) & (r > 0) & (rest > 0) & (jnp.abs(whole) > tiny)
     in_whole = jnp.where(inside, -1.0, jnp.inf)
     z, s = zero, 1.0 - t
-    weights = jnp.stack(
-        [z, z, z, zero + 1.0]
-        + [t[0], z, z, s[0], z, t[1], z, s[1], z, z, t[2], s[2]]
-        + [u[0], v[0], z, w[0], u[1], z, v[1], w[1], z, u[2], v[2], w[2]]
-        + [p, q, r, rest]
-    ).reshape(8, 4, -1)
+    on_corner = [z, z, z, zero + 1.0]
+    on_side = [t[0], z, z, s[0], z, t[1], z, s[1], z, z, t[2], s[2]]
+    on_face = [u[0], v[0], z, w[0], u[1], z, v[1], w[1], z, u[2], v[2], w[2]]
+    weights = jnp.stack([*on_corner, *on_side, *on_face, p, q, r, rest]).reshape(8, 4, -1)
     values = jnp.concatenate([dot(d, d)[None], on_edges, on_faces, in_whole[None]])
     on_plane = normals * (height / jnp.where(squared > 0, squared, 1.0))
     nearest = jnp.concatenate([newest, points, on_plane, jnp.zeros_like(newest)], axis=1)
     choices = jnp.concatenate([weights, jnp.moveaxis(nearest, 0, 1)], axis=1)
     values, choices = settled((values, choices))
-    chosen = first_of(values <= values.min(axis=0))
+    # Of candidates that differ by round-off only the one with most corners is right: it alone knows how far aside of
+    # the others the nearest point lies.
+    least = values.min(axis=0)
+    equal = values <= least + 4 * jnp.finfo(values.dtype).eps * jnp.abs(least)
     candidates = lax.broadcasted_iota(jnp.int32, (8, 1, 1), 0)
+    chosen = jnp.where(equal, candidates[:, 0], 0).max(axis=0)
     choice = jnp.where(candidates == chosen, choices, 0.0).sum(axis=0)
     return choice[:4], choice[4:], values[7] < 0
 
 
 def gjk(
-    support_a: Support, support_b: Support, towards: Any, scale: Any, turns: int, remember: bool
+    support_a: Support, support_b: Support, towards: Any, scale: Any, turns: int, remember: bool, slack: Any
 ) -> Simplex:
     """GJK for L pairs, until every one is done or `turns` are over.
 
     Args:
         towards: (3, L), a first guess of the direction from a to b, not zero.
         scale: (L,), the largest coordinate that appears; distances are found to a few round-offs of it.
+        slack: share by which a squared distance may grow in a turn. Zero ends the search where the distance is found, a
+            few round-offs let it go on to the nearest points themselves, which are known to a root of that.
         remember: keep the points of a, where they cannot be looked up by number.
     """
     eps = jnp.finfo(towards.dtype).eps
@@ -143,7 +147,12 @@ def gjk(
         weights, nearest, inside = nearest_on_simplex(differences)
         weights, nearest = settled((weights, nearest))
         squared = jnp.where(inside, 0.0, dot(nearest, nearest))
-        stop = s.done | converged | (squared >= s.squared)
+        stop = (
+            s.done
+            | converged
+            | (squared > s.squared * (1.0 + slack))
+            | ((slack <= 0) & (squared >= s.squared))
+        )
 
         def unless(old: Any, new: Any) -> Any:
             return jnp.where(stop, old, new)

@@ -1,8 +1,8 @@
 """Arithmetic of many pairs at once: components first, pairs along the last axis.
 
-A kernel that sees pairs in its last axis is compiled into long loops over whole vectors; a short last axis (3 components,
-8 vertices) costs 3–8 times as much. A chunk of `LANES` pairs fits the first cache and leaves its loops when the slowest
-of its own pairs is done, not the slowest of the batch.
+A kernel that sees pairs in its last axis is compiled into long loops over whole vectors; a short last axis (3
+components, 8 vertices) costs 3–8 times as much. A chunk of `LANES` pairs fits the first cache and leaves its loops
+when the slowest of its own pairs is done, not the slowest of the batch.
 """
 
 from typing import Any

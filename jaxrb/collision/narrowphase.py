@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxrb.collision import closed_forms, cores, features
 from jaxrb.collision.batch import search
 from jaxrb.collision.contact import Contact
+from jaxrb.collision.stages import Found
 from jaxrb.errors import WrongStructure
 from jaxrb.geometry.primitives import Box, Capsule, Composite, HalfSpace, Pose, Sphere
 from jaxrb.geometry.shape import Shape
@@ -18,16 +19,16 @@ from jaxrb.math.vector import matmul, matvec
 def separation(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> Contact:
     """How far apart two shapes are, or how deep they overlap: a `Contact` in W.
 
-    A pure function of one pair; `jax.jit`, `jax.vmap` and `jax.grad` apply to it, and a vmapped batch is computed as one
-    however many axes are mapped over. It is exact up to round-off of the largest coordinate in the frame of one of the
-    two shapes, never of world coordinates, and the answer of (b, a) is that of (a, b) with the sign of the normal
-    changed, bit by bit.
+    A pure function of one pair; `jax.jit`, `jax.vmap` and `jax.grad` apply to it, and a vmapped batch is computed as
+    one however many axes are mapped over. It is exact up to round-off of the largest coordinate in the frame of one
+    of the two shapes, never of world coordinates, and the answer of (b, a) is that of (a, b) with the sign of the
+    normal changed, bit by bit.
 
-    Ways: formulas for half-spaces, spheres, capsules, and sphere with box; for all others GJK where they are apart. Where
-    polytopes overlap, branch and bound over arcs of normals gives their exact depth and proves it (`arcs.py`). Of smooth
-    shapes that overlap (ellipsoid, cylinder, cone) the depth is a local minimum found from the best direction of
-    inscribed polytopes; `upper` then is what these prove and `lower` what that direction proves, some per cent apart.
-    A composite is the nearest of its parts: the depth is that of the deepest pair of parts.
+    Ways: formulas for half-spaces, spheres, capsules, and sphere with box; for all others GJK where they are apart.
+    Where polytopes overlap, branch and bound over arcs of normals gives their exact depth and proves it (`arcs.py`).
+    Of smooth shapes that overlap (ellipsoid, cylinder, cone) the depth is a local minimum found from the best
+    direction of inscribed polytopes; `upper` then is what these prove and `lower` what that direction proves, some
+    per cent apart. A composite is the nearest of its parts: the depth is that of the deepest pair of parts.
 
     Derivatives: those of the nearest features (`features.py`), finite everywhere; where features tie, those of one.
 
@@ -37,8 +38,8 @@ def separation(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> Co
     for name, shape, pose in (("a", shape_a, pose_a), ("b", shape_b, pose_b)):
         if not isinstance(shape, Shape) or not isinstance(pose, Pose):
             raise WrongStructure(
-                f"separation: {name} is given as {type(shape).__name__} with {type(pose).__name__}, but must be a Shape "
-                "with a Pose(position, orientation)"
+                f"separation: {name} is given as {type(shape).__name__} with {type(pose).__name__}, but must be a "
+                "Shape with a Pose(position, orientation)"
             )
     if isinstance(shape_a, Composite):
         return closed_forms.composite(
@@ -87,7 +88,7 @@ def _comes_after(one: Any, other: Any) -> Array:
     parts = []
     for x, y in zip(jax.tree.leaves(one), jax.tree.leaves(other)):
         x, y = jax.lax.stop_gradient((jnp.asarray(x), jnp.asarray(y)))
-        parts.append((jnp.sign(x - y) if jnp.issubdtype(x.dtype, jnp.inexact) else jnp.sign(x - y)).ravel())
+        parts.append(jnp.sign(x - y).ravel())
     signs = jnp.concatenate([part.astype(jnp.int8) for part in parts])
     return signs[jnp.argmax(signs != 0)] > 0
 
@@ -124,19 +125,31 @@ def _in_frame_of_a(shape_a: Shape, shape_b: Shape, rotation: Array, translation:
     if isinstance(shape_a, Box) and isinstance(shape_b, Sphere):
         return closed_forms.sphere_and_box(shape_a, translation)
     if isinstance(shape_a, (Sphere, Capsule)) and isinstance(shape_b, (Sphere, Capsule)):
-        halves = [closed_forms.segment_of(shape) for shape in (shape_a, shape_b)]
-        return closed_forms.segments(*halves, rotation[:, 2], translation)
-    found = search(*jax.lax.stop_gradient((shape_a, shape_b, rotation, translation)))
-    corners = []
+        half_a, half_b = (closed_forms.segment_of(shape) for shape in (shape_a, shape_b))
+        return closed_forms.segments(half_a, half_b, rotation[:, 2], translation)
+    found = search(shape_a, shape_b, rotation, translation)
+    sides = []
     for k, (shape, r, t) in enumerate(((shape_a, None, None), (shape_b, rotation, translation))):
-        if cores.is_polytope(shape):
-            own = cores.corners(shape)[found.numbers[:, k]]
-        else:
-            stretch = cores.stretches(shape)
-            frozen = found.points[k] if r is None else (found.points[k] - t) @ r
-            own = stretch * jax.lax.stop_gradient(frozen / stretch)
-        corners.append(own if r is None else own @ r.T + t)
-    distance, normal, point_a, point_b = features.of_polytopes(
-        found.distance, found.normal, found.weights, *corners
-    )
-    return Contact(distance, normal, point_a, point_b, found.lower, found.upper)
+        side = _polytope_side if cores.is_polytope(shape) else _smooth_side
+        sides.append(side(shape, r, t, found, k))
+    if all(cores.is_polytope(shape) for shape in (shape_a, shape_b)):
+        corners = [side.points for side in sides]
+        parts = features.of_polytopes(found.distance, found.normal, found.weights, *corners)
+    else:
+        parts = features.of_smooth(found.distance, found.normal, found.weights, *sides)
+    return Contact(*parts, found.lower, found.upper)
+
+
+def _polytope_side(shape: Shape, r: Array | None, t: Array | None, found: Found, k: int) -> features.Side:
+    own = cores.corners(shape)[found.numbers[:, k]]
+    return features.Side(own if r is None else own @ r.T + t, None)
+
+
+def _smooth_side(shape: Shape, r: Array | None, t: Array | None, found: Found, k: int) -> features.Side:
+    """The nearest points as points of the material, and the support point along a direction in a's frame."""
+    stretch = cores.stretches(shape)
+    frozen = found.points[k] if r is None or t is None else (found.points[k] - t) @ r
+    material = stretch * jax.lax.stop_gradient(frozen / stretch)
+    if r is None or t is None:
+        return features.Side(material, shape.support)
+    return features.Side(material @ r.T + t, lambda n: shape.support(n @ r) @ r.T + t)

@@ -1,0 +1,108 @@
+"""Speed of the narrow phase: CPU time of a pair in a batch, beside coal where it is installed."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrb.accuracy.timing import cpu_of_first, interleaved
+from jaxrb.collision import separation
+from jaxrb.geometry import Box, ConvexHull, Pose, stack_hulls
+from jaxrb.math import Quaternion
+
+PAIRS = 4096
+CORNERS = (8, 16, 32, 64)
+_PEER_PAIRS = 512
+
+
+def rows() -> Iterator[dict[str, Any]]:
+    """One row for each kind of pair and state: microseconds of CPU time a pair, seconds of the first call."""
+    generator = np.random.default_rng(0)
+    dtype = jnp.result_type(float)
+    half = generator.uniform(0.3, 1.0, size=(2, PAIRS, 3))
+    for state, reach in (("apart", 3.5), ("overlapping", 0.6)):
+        shapes = [Box(jnp.asarray(h, dtype)) for h in half]
+        yield _row("box – box", state, shapes, _places(generator, reach, dtype), None)
+    for corners in CORNERS:
+        points = _on_sphere(generator, (2, 64, corners))
+        hulls = [stack_hulls([ConvexHull(p) for p in side]) for side in points]
+        shapes = [
+            jax.tree.map(lambda x: jnp.tile(_device(x, dtype), (PAIRS // 64, 1, 1)), side) for side in hulls
+        ]
+        for state, reach in (("apart", 2.3), ("overlapping", 0.6)):
+            poses = _places(generator, reach, dtype)
+            yield _row(f"hulls of {corners}", state, shapes, poses, _coal(points, poses))
+
+
+def _row(pair: str, state: str, shapes: Any, poses: Any, peer: Callable[[], Any] | None) -> dict[str, Any]:
+    run = jax.jit(jax.vmap(separation))
+    arguments = (shapes[0], poses[0], shapes[1], poses[1])
+    first = cpu_of_first(lambda: run(*arguments))
+    slope = jax.jit(jax.vmap(jax.value_and_grad(lambda p, *rest: _distance(p, *rest))))
+    moved = (poses[0].position, poses[0].orientation, shapes[0], shapes[1], poses[1])
+    runs: list[Callable[[], Any]] = [lambda: run(*arguments), lambda: slope(*moved)]
+    seconds = interleaved([*runs, peer] if peer else runs, rounds=5)
+    row = {
+        "pair": pair,
+        "state": state,
+        "µs a pair": seconds[0] / PAIRS * 1e6,
+        "with gradient, ratio": seconds[1] / seconds[0],
+        "first call [CPU s]": first,
+        "overlapping": float(jnp.mean(run(*arguments).distance < 0)),
+    }
+    return row | {"coal [µs]": seconds[2] / _PEER_PAIRS * 1e6 if peer else None}
+
+
+def _distance(position: Any, orientation: Any, shape_a: Any, shape_b: Any, pose_b: Any) -> Any:
+    return separation(shape_a, Pose(position, orientation), shape_b, pose_b).distance
+
+
+def _device(x: Any, dtype: Any) -> Any:
+    return jnp.asarray(x, dtype if np.asarray(x).dtype.kind == "f" else jnp.int32)
+
+
+def _on_sphere(generator: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    points = generator.normal(size=(*shape, 3))
+    return points / np.linalg.norm(points, axis=-1, keepdims=True)
+
+
+def _places(generator: np.random.Generator, reach: float, dtype: Any) -> tuple[Pose, Pose]:
+    """Poses of pairs whose centres are `reach` apart, turned at random."""
+    aside = _on_sphere(generator, (PAIRS,)) * reach
+    turns = generator.normal(size=(2, PAIRS, 4))
+    turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
+    zero = np.zeros((PAIRS, 3))
+    one, other = (
+        Pose(jnp.asarray(p, dtype), Quaternion(jnp.asarray(q, dtype))) for p, q in zip((zero, aside), turns)
+    )
+    return one, other
+
+
+def _coal(points: np.ndarray, poses: tuple[Pose, Pose]) -> Callable[[], Any] | None:
+    """The same pairs in coal, one after the other; None where it is not installed."""
+    try:
+        import coal  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        return None
+    shapes = []
+    for side in points:
+        built = []
+        for corners in side:
+            vertices = coal.StdVec_Vec3s()
+            vertices.extend([np.asarray(v, float) for v in corners])
+            built.append(coal.Convex.convexHull(vertices, True, ""))
+        shapes.append(built)
+    matrices = [np.asarray(pose.orientation.as_matrix(), float) for pose in poses]
+    positions = [np.asarray(pose.position, float) for pose in poses]
+    places = [[coal.Transform3s(m[i], p[i]) for i in range(_PEER_PAIRS)] for m, p in zip(matrices, positions)]
+    request = coal.DistanceRequest()
+
+    def run() -> Any:
+        for i in range(_PEER_PAIRS):
+            result = coal.DistanceResult()
+            coal.distance(shapes[0][i % 64], places[0][i], shapes[1][i % 64], places[1][i], request, result)
+        return jnp.zeros(())
+
+    return run

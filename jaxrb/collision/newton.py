@@ -1,0 +1,108 @@
+"""Newton's method on the sphere of normals, for the smallest overlap F(n) = h_a(n) + h_b(−n) near a known direction.
+
+The gradient of a support function is the support point, so the gradient of F on the sphere is the part of the
+difference w = x_a(n) − x_b(−n) across n, and its Hessian is that of the support functions less F times the identity.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxrb.collision.gjk import Support
+from jaxrb.collision.lanes import cross, dot, first_of, row, unit
+
+
+def tangents(normal: Any) -> tuple[Any, Any]:
+    """Two unit vectors (3, L) across unit vectors (3, L) and each other."""
+    x, y, z = normal
+    flat = jnp.abs(z) < 0.7
+    zero = jnp.zeros_like(x)
+    first = unit(jnp.where(flat, jnp.stack([-y, x, zero]), jnp.stack([zero, -z, y])))
+    return first, cross(normal, first)
+
+
+def newton(
+    supports: tuple[Support, Support], normal: Any, value: Any, scale: Any, turns: int
+) -> tuple[Any, Any]:
+    """Directions (3, L) and overlaps (L,) that are no worse, `turns` steps on; only steps that help are taken."""
+
+    def difference(n: Any) -> Any:
+        return supports[0](n)[0] - supports[1](-n)[0]
+
+    def turn(_: Any, carry: Any) -> Any:
+        normal, value = carry
+        basis = tangents(normal)
+        w = difference(normal)
+        gradient = [dot(t, w) for t in basis]
+        bent = [jax.jvp(difference, (normal,), (t,))[1] for t in basis]
+        overlap = dot(normal, w)
+        a = dot(basis[0], bent[0]) - overlap
+        b = 0.5 * (dot(basis[0], bent[1]) + dot(basis[1], bent[0]))
+        c = dot(basis[1], bent[1]) - overlap
+        determinant = a * c - b * b
+        convex = (determinant > 0) & (a + c > 0)
+        safe = jnp.where(convex, determinant, 1.0)
+        steps = [-(c * gradient[0] - b * gradient[1]) / safe, -(a * gradient[1] - b * gradient[0]) / safe]
+        # Where the surface bends the other way a step downhill leads out of there.
+        stiffness = jnp.abs(a) + jnp.abs(b) + jnp.abs(c)
+        slope = [-g / jnp.where(stiffness > 0, stiffness, 1.0) for g in gradient]
+        steps = [jnp.where(convex, step, down) for step, down in zip(steps, slope)]
+        tried = unit(normal + steps[0] * basis[0] + steps[1] * basis[1])
+        new = dot(tried, difference(tried))
+        # Equal but for round-off is better too: near the minimum the value no longer tells, the step still does.
+        better = new <= value + 4 * jnp.finfo(value.dtype).eps * scale
+        return jnp.where(better, tried, normal), jnp.where(better, new, value)
+
+    return lax.fori_loop(0, turns, turn, (normal, value))
+
+
+def along_edge(
+    supports: tuple[Support, Support], normal: Any, value: Any, scale: Any, edge: Any, turns: int
+) -> tuple[Any, Any]:
+    """`newton` among the directions across an edge (3, L) of a polytope, where F has a kink; nothing if it is zero."""
+    squared = dot(edge, edge)
+    axis = unit(edge)
+
+    def difference(n: Any) -> Any:
+        return supports[0](n)[0] - supports[1](-n)[0]
+
+    def turn(_: Any, carry: Any) -> Any:
+        normal, value = carry
+        level = unit(normal - dot(normal, axis) * axis)
+        tangent = cross(level, axis)
+        w, bent = jax.jvp(difference, (level,), (tangent,))
+        stiffness = dot(tangent, bent) - dot(level, w)
+        slope = dot(tangent, w)
+        step = -slope / jnp.where(stiffness != 0, jnp.abs(stiffness), 1.0)
+        tried = unit(level + step * tangent)
+        new = dot(tried, difference(tried))
+        better = (squared > 0) & (new <= value + 4 * jnp.finfo(value.dtype).eps * scale)
+        return jnp.where(better, tried, normal), jnp.where(better, new, value)
+
+    return lax.fori_loop(0, turns, turn, (normal, value))
+
+
+def best_of_many(
+    supports: tuple[Support, Support], directions: Any, known: Any, scale: Any, turns: int = 8
+) -> tuple[Any, Any]:
+    """The best direction (3, L) and overlap (L,) from several starts: the `known` ones (k, 3, L) and, of all
+    `directions` (m, 3, L), the four with the smallest overlap that are not close to each other.
+    """
+
+    def value(normal: Any) -> Any:
+        return dot(normal, supports[0](normal)[0]) - dot(normal, supports[1](-normal)[0])
+
+    grid = directions
+    values = jax.vmap(value)(grid)
+    starts = [*known]
+    for _ in range(4):
+        best = row(grid, first_of(values <= values.min(axis=0)))
+        starts.append(best)
+        close = grid[:, 0] * best[0] + grid[:, 1] * best[1] + grid[:, 2] * best[2] > 0.8
+        values = jnp.where(close, jnp.inf, values)
+    starts = jnp.stack(starts)
+    normals, depths = jax.vmap(lambda n: newton(supports, n, value(n), scale, turns))(starts)
+    chosen = first_of(depths <= depths.min(axis=0))
+    return row(normals, chosen), row(depths, chosen)

@@ -1,0 +1,248 @@
+"""The search for one chunk of pairs: GJK, and where the shapes overlap the least depth and GJK once more."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jaxrb.collision import cores
+from jaxrb.collision.arcs import depth_by_arcs
+from jaxrb.collision.gjk import Simplex, Support, gjk
+from jaxrb.collision.lanes import cross, dot, first_of, settled, unit
+from jaxrb.collision.newton import along_edge, best_of_many, newton
+from jaxrb.geometry.shape import Shape
+from jaxrb.math.arrays import Array
+
+
+class Found(NamedTuple):
+    """The answer for the cores of pairs, in the frame of a; a leading axis of pairs.
+
+    `weights` (3,) and `numbers` (3, 2) name up to three vertices of each polytope whose weighted sums are the witness
+    points; `points` (2, 3, 3) are these vertices, also of smooth shapes.
+    """
+
+    distance: Array
+    normal: Array
+    lower: Array
+    upper: Array
+    weights: Array
+    numbers: Array
+    points: Array
+    uncertain: Array
+
+
+class Pair(NamedTuple):
+    """A chunk of pairs, placed in the frame of a."""
+
+    shapes: tuple[Shape, Shape]
+    rotation: Array
+    points: tuple[Any, Any]
+    supports: tuple[Support, Support]
+    scale: Any
+    towards: Any
+
+
+def pair_of(structure: Any, leaves: Any, lanes: int) -> Pair:
+    shape_a, shape_b, rotation, translation = jax.tree.unflatten(structure, leaves)
+    frames = ((shape_a, None, None), (shape_b, rotation, translation))
+    points = [cores.placed(cores.corners(shape), r, t) for shape, r, t in frames]
+    a, b = settled(tuple([jnp.broadcast_to(x, (*x.shape[:2], lanes)) for x in points]))
+    supports = [
+        cores.polytope_support(x) if cores.is_polytope(shape) else cores.smooth_support(shape, r, t)
+        for x, (shape, r, t) in zip((a, b), frames)
+    ]
+    scale = jnp.maximum(jnp.abs(a).max(axis=(0, 1)), jnp.abs(b).max(axis=(0, 1)))
+    towards = b.mean(axis=0) - a.mean(axis=0)
+    up = jnp.zeros_like(towards).at[2].set(1.0)
+    towards = jnp.where(dot(towards, towards) > 0, towards, up)
+    scale, towards = settled((scale, towards))
+    return Pair((shape_a, shape_b), rotation, (a, b), (supports[0], supports[1]), scale, towards)
+
+
+def searched(pair: Pair, before: Found, second: Any) -> Found:
+    """GJK; in the second stage after moving b out of a along the direction of least depth.
+
+    Moved apart along the normal by a good length, b is nearest to a at the points that are the witnesses of the depth,
+    and the direction between them is known as well as that of any two distant shapes.
+    """
+    eps = jnp.finfo(pair.scale.dtype).eps
+    polytopes = all(cores.is_polytope(shape) for shape in pair.shapes)
+    margin = 32 * eps * pair.scale
+    nothing = jnp.zeros_like(pair.scale)
+    slack = jnp.where(second, 8 * eps, 0.0).astype(pair.scale.dtype)
+    normal, depth, least = settled(
+        lax.cond(second, lambda: _least_depth(pair, before), lambda: (pair.towards, nothing, nothing))
+    )
+
+    def apart(normal: Any, depth: Any) -> tuple[Simplex, Any, Any, Any]:
+        """GJK, and the better of the direction known before and the one it finds."""
+        shift = jnp.where(second, (depth + 0.5 * pair.scale) * normal, 0.0)
+
+        def moved(direction: Any) -> tuple[Any, Any]:
+            point, number = pair.supports[1](direction)
+            return point + shift, number
+
+        simplex = gjk(
+            pair.supports[0], moved, normal, pair.scale, 32 if polytopes else 64, not polytopes, slack
+        )
+        direction = settled(_direction(simplex))
+        reach = lax.cond(second, lambda: _overlap(pair, direction), lambda: -simplex.lower)
+        better = ~second | (reach < depth - 2 * eps * pair.scale)
+        return simplex, shift, jnp.where(better, direction, normal), jnp.where(better, reach, depth)
+
+    if polytopes:
+        simplex, shift, normal, depth = apart(normal, depth)
+    else:
+        simplex, shift, normal, depth = _smooth_rounds(pair, apart, normal, depth, second)
+    gap = simplex.nearest + shift
+    gap = jnp.sqrt(dot(gap, gap))
+    distance = jnp.where(second, -depth, gap)
+    upper = jnp.where(second & (depth >= 0), -jnp.clip(jnp.minimum(least, depth), 0.0), gap) + margin
+    # The direction of a difference of points is known to round-off over its length: near contact take another way.
+    uncertain = ~second & (simplex.overlapping | (gap < eps**0.55 * pair.scale))
+    if polytopes:
+        uncertain = uncertain | (~second & (gap - simplex.lower > 32 * eps * pair.scale))
+    if not polytopes:
+        simplex = _at_supports(pair, simplex, normal, distance, shift)
+        distance = jnp.where(second | uncertain, distance, -depth)
+    return _found(pair, simplex, distance, normal, -depth - margin, upper, uncertain, shift)
+
+
+def _smooth_rounds(pair: Pair, apart: Any, normal: Any, depth: Any, second: Any) -> Any:
+    """GJK and Newton's method in turns: the first finds kinks in few steps, the second smooth minima."""
+
+    def once(carry: Any) -> Any:
+        k, _, _, normal, depth = carry
+        simplex, shift, normal, _ = apart(normal, depth)
+        value = _overlap(pair, normal)
+        normal, depth = newton(pair.supports, normal, value, pair.scale, 6)
+        normal, depth = along_edge(pair.supports, normal, depth, pair.scale, _edge(pair, simplex), 4)
+        return k + 1, simplex, shift, normal, depth
+
+    shapes = jax.eval_shape(apart, normal, depth)
+    simplex, shift, *_ = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+    rounds = jnp.where(second, 16, 1)
+    _, *found = lax.while_loop(
+        lambda carry: carry[0] < rounds, once, (jnp.zeros((), jnp.int32), simplex, shift, normal, depth)
+    )
+    return found
+
+
+def _edge(pair: Pair, simplex: Simplex) -> Any:
+    """The longest side (3, L) between corners of a polytope that touch; zero where only one does."""
+    edge = jnp.zeros_like(pair.towards)
+    for k, shape in enumerate(pair.shapes):
+        if not cores.is_polytope(shape):
+            continue
+        points = simplex.points_a if k == 0 else simplex.points_a - simplex.differences
+        for i, j in ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)):
+            side = points[i] - points[j]
+            active = (simplex.weights[i] > 0) & (simplex.weights[j] > 0)
+            edge = jnp.where(active & (dot(side, side) > dot(edge, edge)), side, edge)
+    return edge
+
+
+def _at_supports(pair: Pair, simplex: Simplex, normal: Any, distance: Any, shift: Any) -> Simplex:
+    """With the support points along the normal as witnesses, where these face each other better than the simplex."""
+    a, number_a = pair.supports[0](normal)
+    b, number_b = pair.supports[1](-normal)
+    facing = a - b + distance * normal
+    before = simplex.nearest + shift + distance * normal
+    use = dot(facing, facing) <= dot(before, before)
+    only = jnp.zeros_like(simplex.weights).at[0].set(1.0)
+    return simplex._replace(
+        weights=jnp.where(use, only, simplex.weights),
+        differences=jnp.where(use, a - b - shift, simplex.differences),
+        points_a=jnp.where(use, a, simplex.points_a),
+        numbers=jnp.where(use, number_a * 65536 + number_b, simplex.numbers),
+    )
+
+
+def _least_depth(pair: Pair, before: Found) -> tuple[Any, Any, Any]:
+    """The direction of least depth, the depth there, and a lower bound of the depth."""
+    fans = [
+        cores.normal_fan(shape, points, r)
+        for shape, points, r in zip(pair.shapes, pair.points, (None, pair.rotation))
+    ]
+    # Arcs of the simpler body are cut at those of the other.
+    swap = fans[1].ends.shape[0] < fans[0].ends.shape[0]
+    cut, other = (fans[1], fans[0]) if swap else (fans[0], fans[1])
+    depth = depth_by_arcs(cut, other, pair.scale)
+    normal = -depth.normal if swap else depth.normal
+    first = jnp.moveaxis(before.normal, 0, -1)
+    value, other = _overlap(pair, normal), _overlap(pair, first)
+    use = (other < value) & (dot(first, first) > 0.5)
+    normal, value = jnp.where(use, first, normal), jnp.where(use, other, value)
+    if not all(cores.is_polytope(shape) for shape in pair.shapes):
+        # The inscribed polytopes may put two ways out in the wrong order.
+        even = jnp.asarray(cores.directions(), value.dtype)[:, :, None]
+        # A flat shape has its minima close together, where the normals of its faces are.
+        own = [
+            sign * fan.normals
+            for shape, fan, sign in zip(pair.shapes, fans, (1.0, -1.0))
+            if not cores.is_polytope(shape)
+        ]
+        directions = jnp.concatenate([jnp.broadcast_to(even, (*even.shape[:2], *value.shape)), *own])
+        normal, value = best_of_many(pair.supports, directions, jnp.stack([normal, -normal]), pair.scale)
+    return normal, value, depth.lower
+
+
+def _direction(simplex: Simplex) -> Any:
+    """Unit vector (3, L) from a to b: across the plane, line or point that holds the nearest difference.
+
+    Formed from the edges of that feature, which are long, where the nearest difference itself may be all round-off.
+    """
+    v = simplex.nearest
+    weights, differences = _three(simplex, simplex.weights, simplex.differences)
+    active = weights > 0
+    count = active.sum(axis=0)
+    # From the nearest point, which lies on the feature, to its corners.
+    edges = jnp.where(active[:, None], differences - v, 0.0)
+    around = cross(edges[0], edges[1]) + cross(edges[1], edges[2]) + cross(edges[2], edges[0])
+    longest = edges[0]
+    for other in edges[1:]:
+        longest = jnp.where(dot(other, other) > dot(longest, longest), other, longest)
+    squared = dot(longest, longest)
+    across = v
+    for _ in range(2):
+        across = across - longest * (dot(across, longest) / jnp.where(squared > 0, squared, 1.0))
+    vector = jnp.where(count > 2, around * jnp.where(dot(around, v) < 0, -1.0, 1.0), across)
+    return -unit(vector)
+
+
+def _three(simplex: Simplex, *tables: Any) -> list[Any]:
+    """Of tables (4, ..., L) the rows of the three corners with the largest weights; the fourth has none."""
+    places = lax.broadcasted_iota(jnp.int32, simplex.weights.shape, 0)
+    # The last corner takes the place of the one left out.
+    gone = (places == first_of(simplex.weights <= simplex.weights.min(axis=0)))[:3]
+    return [jnp.where(gone if x.ndim == 2 else gone[:, None], x[3:], x[:3]) for x in tables]
+
+
+def _overlap(pair: Pair, normal: Any) -> Any:
+    """How far (L,) b must move along `normal` to leave a: negative where this direction separates them."""
+    a, _ = pair.supports[0](normal)
+    b, _ = pair.supports[1](-normal)
+    return dot(normal, a) - dot(normal, b)
+
+
+def _found(
+    pair: Pair,
+    simplex: Simplex,
+    distance: Any,
+    normal: Any,
+    lower: Any,
+    upper: Any,
+    uncertain: Any,
+    shift: Any,
+) -> Found:
+    """The three corners of the simplex that matter, and everything with pairs first again."""
+    weights, numbers = _three(simplex, simplex.weights, simplex.numbers)
+    if simplex.points_a is None:
+        points = jnp.zeros((2, 3, 3, *pair.scale.shape), pair.scale.dtype)
+    else:
+        points_a, differences = _three(simplex, simplex.points_a, simplex.differences)
+        points = jnp.stack([points_a, points_a - differences - shift])
+    rows = (weights / weights.sum(axis=0), jnp.stack([numbers // 65536, numbers % 65536], axis=1), points)
+    weights, numbers, points = (jnp.moveaxis(x, -1, 0) for x in rows)
+    return Found(distance, jnp.moveaxis(normal, -1, 0), lower, upper, weights, numbers, points, uncertain)
