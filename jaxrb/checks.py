@@ -111,6 +111,12 @@ def check_quantity(
             )
 
 
+def check_direction(where: str, vector: Any) -> None:
+    """Refuse the zero vector where a direction is wanted."""
+    if is_concrete(vector) and (zero := ~np.asarray(vector).any(axis=-1)).any():
+        raise InvalidInput(f"{where}{at(zero)} is the zero vector, but must have a direction")
+
+
 def at(bad: np.ndarray | np.bool_, rank: int = 0) -> str:
     """Where the first True stands, in words: ` of body 3` for an array with a bodies axis."""
     if bad.ndim <= rank:

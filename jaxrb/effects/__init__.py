@@ -1,5 +1,8 @@
 """Floor 4: what acts on bodies."""
 
+from jaxrb.effects.central_gravity import CentralGravity as CentralGravity
+from jaxrb.effects.central_gravity import GravityGradient as GravityGradient
+from jaxrb.effects.central_gravity import MutualGravity as MutualGravity
 from jaxrb.effects.custom import CustomForce as CustomForce
 from jaxrb.effects.drag import LinearDrag as LinearDrag
 from jaxrb.effects.drag import QuadraticDrag as QuadraticDrag
@@ -7,7 +10,13 @@ from jaxrb.effects.effect import Effect as Effect
 from jaxrb.effects.effect import Force as Force
 from jaxrb.effects.effect import Wrench as Wrench
 from jaxrb.effects.fixed_point import FixedPoint as FixedPoint
+from jaxrb.effects.fluid import Buoyancy as Buoyancy
+from jaxrb.effects.fluid import MagnusForce as MagnusForce
+from jaxrb.effects.fluid import PlateAerodynamics as PlateAerodynamics
 from jaxrb.effects.gravity import UniformGravity as UniformGravity
 from jaxrb.effects.spring import SpringDamper as SpringDamper
 from jaxrb.effects.thruster import BodyThruster as BodyThruster
 from jaxrb.effects.thruster import PrescribedTorque as PrescribedTorque
+from jaxrb.effects.torques import AngularSpring as AngularSpring
+from jaxrb.effects.torques import MagneticTorque as MagneticTorque
+from jaxrb.effects.torques import Motor as Motor

@@ -71,6 +71,36 @@ CASES = {
         rb.SemiImplicitEuler(),
         rb.EulerAngles,
     ),
+    "gravity of a centre and of each other": (
+        (BRICK, LUMP),
+        (
+            rb.CentralGravity(0.3, (2.0, 0.1, -1.5)),
+            rb.GravityGradient(0.5, (2.0, 0.1, -1.5)),
+            rb.MutualGravity(0.2),
+        ),
+        rb.SemiImplicitEuler(),
+        rb.Quaternion,
+    ),
+    "fluid": (
+        (BRICK,),
+        (
+            rb.Buoyancy(0.4, 2.0, point=(0.1, 0.0, 0.2)),
+            rb.MagnusForce(0.2, wind=(0.3, 0.1, 0.0)),
+            rb.PlateAerodynamics((0.2, 0.1, 1.0), 0.4, (0.3, 0.1, 0.0), wind=(0.3, 0.1, 0.0)),
+        ),
+        rb.SemiImplicitEuler(),
+        rb.Quaternion,
+    ),
+    "torques of attitude and rate": (
+        (BRICK, LUMP),
+        (
+            rb.MagneticTorque((1.0, 0.2, 0.1), (0.1, 0.5, 0.3)),
+            rb.AngularSpring(1.2, 0.3, body_a=0, body_b=1),
+            rb.Motor((0.1, 0.2, 1.0), 2.0, 0.3, bodies=(1,)),
+        ),
+        rb.SemiImplicitEuler(),
+        rb.Quaternion,
+    ),
     "fixed point": (
         (BRICK, LUMP),
         (rb.UniformGravity(), rb.FixedPoint((0.0, 0.1, 0.3), (0.0, 0.0, 1.0), bodies=(0,))),
