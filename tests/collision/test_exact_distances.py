@@ -58,9 +58,11 @@ def test_witnesses_lie_on_both_shapes_and_as_far_apart_as_the_distance(polytopes
     small = tolerance(float64=5e-9, float32=1e-4) * data["largest"]
     between = contact.point_b - contact.point_a - contact.distance[:, None] * contact.normal
     off = np.abs(between).max(axis=1) / data["largest"]
-    assert np.quantile(off, 0.98) <= tolerance(float64=1e-12, float32=1e-5)
-    assert off.max() <= tolerance(float64=5e-9, float32=1e-4)
-    for i, (a, b) in enumerate(zip(*split)):
+    exact = data["exact"]
+    assert np.quantile(off[exact], 0.98) <= tolerance(float64=1e-12, float32=1e-5)
+    assert off[exact].max() <= tolerance(float64=5e-9, float32=1e-4)
+    for i in np.nonzero(exact)[0]:
+        a, b = split[0][i], split[1][i]
         for points, witness, n in (
             (a, contact.point_a[i], contact.normal[i]),
             (b, contact.point_b[i], -contact.normal[i]),
@@ -75,7 +77,7 @@ def test_certificates_of_polytopes_hold_the_exact_distance_and_are_tight(polytop
     true, exact = data["signed_distance"], data["exact"]
     assert (contact.lower <= true)[exact].all()
     assert (true <= contact.upper)[exact].all()
-    width = (contact.upper - contact.lower) / data["largest"]
+    width = ((contact.upper - contact.lower) / data["largest"])[exact]
     assert width.max() <= tolerance(float64=1e-8, float32=1e-4)
     assert np.median(width) <= tolerance(float64=1e-13, float32=2e-5)
 
