@@ -41,13 +41,19 @@ def separation(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> Co
                 f"separation: {name} is given as {type(shape).__name__} with {type(pose).__name__}, but must be a "
                 "Shape with a Pose(position, orientation)"
             )
+    return _separation(shape_a, pose_a, shape_b, pose_b)
+
+
+@jax.jit
+def _separation(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> Contact:
+    """Compiled as one also where it is called on its own: loops would be compiled anew at each call."""
     if isinstance(shape_a, Composite):
         return closed_forms.composite(
-            [separation(s, _part(pose_a, p), shape_b, pose_b) for s, p in shape_a.parts]
+            [_separation(s, _part(pose_a, p), shape_b, pose_b) for s, p in shape_a.parts]
         )
     if isinstance(shape_b, Composite):
         return closed_forms.composite(
-            [separation(shape_a, pose_a, s, _part(pose_b, p)) for s, p in shape_b.parts]
+            [_separation(shape_a, pose_a, s, _part(pose_b, p)) for s, p in shape_b.parts]
         )
     if isinstance(shape_a, HalfSpace) and isinstance(shape_b, HalfSpace):
         raise WrongStructure("separation: two half-spaces are no pair; both are without end and stand still")
