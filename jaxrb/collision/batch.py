@@ -89,9 +89,8 @@ def _in_chunks(structure: Any, leaves: Any) -> Found:
         def chunk(carry: Any) -> Any:
             k, found = carry
             index = lax.dynamic_slice_in_dim(order, k * lanes, lanes)
-            cut = [x if x.shape[0] == 1 else x[index] for x in leaves]
             before = jax.tree.map(lambda x: x[index], found)
-            after = stage_of(pair_of(structure, cut, lanes), before, second > 0)
+            after = stage_of(pair_of(structure, leaves, index), before, second > 0)
             wanted = k * lanes + jnp.arange(lanes) < count
 
             def put(old: Array, new: Array, whole: Array) -> Array:

@@ -33,9 +33,10 @@ class Found(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """A chunk of pairs, placed in the frame of a."""
+    """A chunk of pairs, placed in the frame of a. Of `shapes` the whole numbers are still those of all pairs."""
 
     shapes: tuple[Shape, Shape]
+    index: Array
     rotation: Array
     points: tuple[Any, Any]
     supports: tuple[Support, Support]
@@ -43,8 +44,16 @@ class Pair(NamedTuple):
     towards: Any
 
 
-def pair_of(structure: Any, leaves: Any, lanes: int) -> Pair:
-    shape_a, shape_b, rotation, translation = jax.tree.unflatten(structure, leaves)
+def _cut(leaf: Array, index: Array) -> Array:
+    """The rows of some pairs; a leading axis of 1 is shared by all."""
+    return leaf if leaf.shape[0] == 1 else leaf[index]
+
+
+def pair_of(structure: Any, leaves: Any, index: Array) -> Pair:
+    """The pairs number `index` (L,) of all. Faces and edges, of most pairs never looked at, are left where they are."""
+    lanes = index.shape[0]
+    cut = [_cut(leaf, index) if jnp.issubdtype(leaf.dtype, jnp.inexact) else leaf for leaf in leaves]
+    shape_a, shape_b, rotation, translation = jax.tree.unflatten(structure, cut)
     frames = ((shape_a, None, None), (shape_b, rotation, translation))
     points = [cores.placed(cores.corners(shape), r, t) for shape, r, t in frames]
     a, b = settled(tuple([jnp.broadcast_to(x, (*x.shape[:2], lanes)) for x in points]))
@@ -57,7 +66,7 @@ def pair_of(structure: Any, leaves: Any, lanes: int) -> Pair:
     up = jnp.zeros_like(towards).at[2].set(1.0)
     towards = jnp.where(dot(towards, towards) > 0, towards, up)
     scale, towards = settled((scale, towards))
-    return Pair((shape_a, shape_b), rotation, (a, b), (supports[0], supports[1]), scale, towards)
+    return Pair((shape_a, shape_b), index, rotation, (a, b), (supports[0], supports[1]), scale, towards)
 
 
 def searched(pair: Pair, before: Found, second: Any) -> Found:
@@ -161,9 +170,12 @@ def _at_supports(pair: Pair, simplex: Simplex, normal: Any, distance: Any, shift
 
 def _least_depth(pair: Pair, before: Found) -> tuple[Any, Any, Any]:
     """The direction of least depth, the depth there, and a lower bound of the depth."""
+    shapes = jax.tree.map(
+        lambda x: x if jnp.issubdtype(x.dtype, jnp.inexact) else _cut(x, pair.index), pair.shapes
+    )
     fans = [
         cores.normal_fan(shape, points, r)
-        for shape, points, r in zip(pair.shapes, pair.points, (None, pair.rotation))
+        for shape, points, r in zip(shapes, pair.points, (None, pair.rotation))
     ]
     # Arcs of the simpler body are cut at those of the other.
     swap = fans[1].ends.shape[0] < fans[0].ends.shape[0]

@@ -172,7 +172,9 @@ def _quickhull(points: np.ndarray) -> Any:
         raise InvalidInput(f"ConvexHull.vertices: no hull was found: {str(error).splitlines()[0]}") from error
 
 
-def _planes(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
+def _planes(
+    points: np.ndarray, triangles: np.ndarray, normals: np.ndarray, neighbours: np.ndarray
+) -> np.ndarray:
     """The number of the plane face of each triangle (t,): neighbours with one normal are one face.
 
     Where points nearly coincide quickhull joins triangles that are not quite in one plane; such faces are left apart.

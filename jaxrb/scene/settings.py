@@ -64,8 +64,8 @@ def check_adjoint(adjoint: str, method: Method, torque: Any) -> None:
     check_choice("adjoint", adjoint, ("checkpoint", "reversible"))
     if adjoint == "reversible" and not method.symmetric:
         raise WrongStructure(
-            f"adjoint='reversible' needs a method whose steps can be undone, such as ImplicitMidpoint or ThreeAxisSplitting4; "
-            f"{type(method).__name__} is not symmetric in time: use adjoint='checkpoint'"
+            "adjoint='reversible' needs a method whose steps can be undone, such as ImplicitMidpoint or "
+            f"ThreeAxisSplitting4; {type(method).__name__} is not symmetric in time: use adjoint='checkpoint'"
         )
     if adjoint == "reversible" and torque is not None and torque.ndim == 3:
         raise WrongStructure("adjoint='reversible' takes a constant torque; use 'checkpoint' for one a step")
