@@ -1,4 +1,4 @@
-"""The command line: `jaxrb demo | work-precision | plan | cost | scoreboard | fit | bench`."""
+"""The command line: `jaxrb demo | work-precision | plan | cost | scoreboard | fit | bench | hard-cases`."""
 
 import importlib
 import json as json_text
@@ -45,8 +45,8 @@ def bench(
     Args:
         what: speed of steps and gradients; the closed form of free flight; all methods beside each other; stabilised
             Adams beside its peers; one body beside MuJoCo, diffrax and SciPy at equal error; whether a scene
-            pays only for its effects; bounding volumes, the hierarchy of boxes and the broad phase; distances and depths
-            of pairs of shapes.
+            pays only for its effects; bounding volumes, the hierarchy of boxes and the broad phase; distances and
+            depths of pairs of shapes.
         planner: instead, the time of the planner's picks over the best that a fine search finds, on a grid of scenes
             and tolerances (some minutes).
         json: print one JSON object instead of a table.
@@ -80,6 +80,12 @@ def _fit_command() -> Any:
     return fit
 
 
+def _hard_cases_command() -> Any:
+    from jaxrb.hard.command import hard_cases
+
+    return hard_cases
+
+
 def _command(name: str) -> Any:
     from jaxrb.bench import commands
 
@@ -94,6 +100,7 @@ COMMANDS = {
     "scoreboard": lambda: _command("scoreboard"),
     "fit": _fit_command,
     "bench": lambda: bench,
+    "hard-cases": _hard_cases_command,
 }
 
 

@@ -1,5 +1,6 @@
 """Speed of the narrow phase: CPU time of a pair in a batch, beside coal where it is installed."""
 
+import importlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -83,7 +84,7 @@ def _places(generator: np.random.Generator, reach: float, dtype: Any) -> tuple[P
 def _coal(points: np.ndarray, poses: tuple[Pose, Pose]) -> Callable[[], Any] | None:
     """The same pairs in coal, one after the other; None where it is not installed."""
     try:
-        import coal  # pyright: ignore[reportMissingImports]
+        coal: Any = importlib.import_module("coal")
     except ImportError:
         return None
     shapes = []

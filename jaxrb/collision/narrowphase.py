@@ -143,7 +143,8 @@ def _in_frame_of_a(shape_a: Shape, shape_b: Shape, rotation: Array, translation:
         parts = features.of_polytopes(found.distance, found.normal, found.weights, *corners)
     else:
         parts = features.of_smooth(found.distance, found.normal, found.weights, *sides)
-    return Contact(*parts, found.lower, found.upper)
+    distance, normal, point_a, point_b = parts
+    return Contact(distance, normal, point_a, point_b, found.lower, found.upper)
 
 
 def _polytope_side(shape: Shape, r: Array | None, t: Array | None, found: Found, k: int) -> features.Side:

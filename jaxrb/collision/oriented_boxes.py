@@ -9,7 +9,7 @@ from jaxrb.math.vector import matmul, matvec
 def oriented_boxes_gap(a: OrientedBox, b: OrientedBox) -> Scalar:
     """The largest gap [m] of two boxes along a direction: positive where some plane parts them, and then ≤ distance.
 
-    Negative: minus the depth of overlap, exactly. For the direction too see `collision.obb`, whose first result this is.
+    Negative: minus the depth of overlap, exactly. It is the first result of `collision.obb`, which has the direction.
     """
     turn_a, turn_b = a.pose.orientation.as_matrix(), b.pose.orientation.as_matrix()
     across = turn_a.swapaxes(-1, -2)
