@@ -154,6 +154,17 @@ def test_run_that_leaves_the_finite_numbers_says_which_body_and_step(scene, stat
         path.raise_if_bad()
 
 
+def test_orientation_that_collapses_in_the_very_last_step_is_flagged(dtype):
+    """The square of its length overflows, the projection makes it zero, and no later step would turn that into NaN."""
+    scene = rb.Scene(rb.Body(1.0, 1.0))
+    fast = scene.state(angular_velocity=(1e150 if dtype == jnp.float64 else 1e10, 0.0, 0.0))
+    with pytest.warns(JaxrbWarning, match="turns body 0"):
+        path = rb.rollout(scene, fast, dt=1e20, steps=1, method=rb.ExplicitEuler(), on_error="flag")
+    assert not np.asarray(path.final.orientation.wxyz).any()
+    assert np.asarray(path.status.reason).tolist() == [NOT_A_ROTATION]
+    assert np.asarray(path.status.first_bad_step).tolist() == [1]
+
+
 def test_integers_are_used_with_a_warning(scene, dtype):
     """[16]"""
     with pytest.warns(JaxrbWarning, match="int64 was given.*floating"):

@@ -27,6 +27,7 @@ FLOORS = {
     "data": 7.5,
     "view": 8,
     "bench": 8,
+    "hard": 8.5,  # a peer's figure stands beside ours
     "demo": 9,
     "cli": 9.5,
 }

@@ -84,7 +84,9 @@ class MutualGravity(Effect):
     def rate(self, bodies: MassProperties, state: State) -> np.ndarray | float:
         place, mass = np.asarray(state.position, float), np.asarray(bodies.mass, float)
         apart = np.linalg.norm(place - place[:, None], axis=-1) + np.diag(np.full(len(place), np.inf))
-        return float(np.sqrt(np.max(2.0 * np.asarray(self.constant) * (mass + mass[:, None]) / apart**3)))
+        with np.errstate(divide="ignore"):
+            rate = np.sqrt(np.max(2.0 * np.asarray(self.constant) * (mass + mass[:, None]) / apart**3))
+        return float(rate)
 
 
 def _separations(state: State) -> tuple[Vector, Scalar]:

@@ -87,7 +87,9 @@ class SpringDamper(Effect):
         length = norm(line)
         direction = unit_or(line, jnp.zeros_like(line))
         pull = self.stiffness * (length - self.rest_length) + self.damping * dot(direction, rate)
-        return pull[:, None] * direction
+        # At zero length both are zero; k · line has the derivative that a spring without rest length has there.
+        coincident = length[:, None] == 0
+        return jnp.where(coincident, jnp.reshape(self.stiffness, (-1, 1)) * line, pull[:, None] * direction)
 
 
 def _numbers(bodies: int | tuple[int, ...] | None) -> tuple[int, ...]:

@@ -80,8 +80,11 @@ class RotationMatrix(Rotation):
         x = self.matrix
         small = less_identity(wxyz)
         if renormalise:
+            # (1 + M) P − 1 = (P − 1) + M + M (P − 1). The last is small where P is, but without it the projection
+            # would be that of R and not of R P, and at large steps drift would grow.
             missing = _missing_stretch(x)
-            small = [[small[i][j] + missing[i][j] for j in range(3)] for i in range(3)]
+            turned = entries(matmul(from_entries(missing), from_entries(small)))
+            small = [[small[i][j] + (missing[i][j] + turned[i][j]) for j in range(3)] for i in range(3)]
         change = matmul(x, from_entries(small))
         return RotationMatrix(by_components(operator.add, x, change) if x.ndim == 3 else x + change)
 

@@ -140,7 +140,10 @@ class Quaternion(Rotation):
         p0, p1, p2, p3 = components(wxyz)
         scale = p0 - 1.0
         if renormalise:
-            scale = scale + _missing_scale(parts)
+            # Along q p, not along q: at half a turn a step the two are perpendicular, and beyond the error would grow.
+            missing = _missing_scale(parts)
+            scale = scale + missing * p0
+            p1, p2, p3 = (p + missing * p for p in (p1, p2, p3))
         change = components(product(self.wxyz, stack(scale, p1, p2, p3)))
         return Quaternion(stack(*(part + c for part, c in zip(parts, change, strict=True))))
 

@@ -9,7 +9,7 @@ import math
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.math.arrays import Array, Real, Scalar, Vector
+from jaxrb.math.arrays import Array, Real, Scalar
 
 
 def safe_sqrt(x: Scalar) -> Scalar:
@@ -95,7 +95,7 @@ def divide(numerator: Array, denominator: Array) -> Array:
     return jnp.where(defined, numerator / jnp.where(defined, denominator, 1.0), 0.0)
 
 
-def unit_or(v: Vector, fallback: Vector) -> Vector:
+def unit_or(v: Real, fallback: Real) -> Real:
     """v / |v| for a v of any length, or `fallback` where v is the zero vector. NaN stays NaN."""
     # The largest component is taken out first: the square of 1e-30 is no number of float32. It needs no derivative,
     # since v / |v| does not depend on the scale.

@@ -150,7 +150,7 @@ def _run_steps(
     if steps > saves * save_every:
         carry = advance(carry, rest, steps - saves * save_every)
     states = jax.tree.map(lambda first, later: jnp.concatenate([first[None], later]), state, saved)
-    return states.time, states, carry[0], status_after(bad, carry[2], steps)
+    return states.time, states, carry[0], status_after(bad, carry[2], steps, carry[0], method.renormalise)
 
 
 _run = jax.jit(_run_steps, static_argnames=("steps", "save_every", "adjoint"))

@@ -60,9 +60,17 @@ def sound(state: State, renormalise: bool) -> Array:
     return reason.astype(jnp.int32)
 
 
-def status_after(initial: Array, finite_steps: Array, steps: int) -> Status:
-    """The status of a run of `steps` steps of which each body had `finite_steps` finite ones."""
+def status_after(initial: Array, finite_steps: Array, steps: int, final: State, renormalise: bool) -> Status:
+    """The status of a run of `steps` steps of which each body had `finite_steps` finite ones.
+
+    A quaternion whose squared length overflows is projected to zero, a finite number, and shows as not finite only one
+    step later: after the last step it is looked for here.
+    """
     failed = finite_steps < steps
     reason = jnp.where(initial != OK, initial, jnp.where(failed, NOT_FINITE, OK))
     first = jnp.where(initial != OK, 0, jnp.where(failed, finite_steps + 1, -1))
+    if renormalise:
+        collapsed = (reason == OK) & (final.orientation.drift().scale < -0.5)
+        reason = jnp.where(collapsed, NOT_A_ROTATION, reason)
+        first = jnp.where(collapsed, steps, first)
     return Status(reason, first)

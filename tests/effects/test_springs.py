@@ -1,5 +1,7 @@
 """Springs and dampers: periods, what they conserve, what they spend."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from rotation_samples import largest
@@ -104,3 +106,21 @@ def test_spring_of_zero_length_exerts_no_force():
     scene = rb.Scene(rb.Body(1.0, 1.0), rb.SpringDamper(K, damping=1.0, rest_length=0.5))
     final = rb.rollout(scene, scene.state(), dt=0.01, steps=5).final
     assert largest(final.position) == largest(final.velocity) == 0
+
+
+def test_acceleration_at_zero_length_has_the_slope_of_a_spring_without_rest_length(dtype):
+    """a = −(k/m) x is smooth at x = 0, though the direction x/|x| is not: value, first and second derivative."""
+    scene = rb.Scene(rb.Body(2.0, 1.0), rb.SpringDamper(K))
+    start = scene.state()
+
+    def acceleration(x):
+        state = rb.scene.scene.State(
+            x[None], start.orientation, start.velocity, start.angular_velocity, start.time
+        )
+        return scene.prepared(dtype).acceleration(state).linear[0]
+
+    zero = jnp.zeros(3, dtype)
+    assert largest(acceleration(zero)) == 0
+    np.testing.assert_array_equal(jax.jacrev(acceleration)(zero), -K / 2.0 * np.eye(3))
+    np.testing.assert_array_equal(jax.jacfwd(acceleration)(zero), -K / 2.0 * np.eye(3))
+    assert largest(jax.jacfwd(jax.jacrev(acceleration))(zero)) == 0

@@ -1,6 +1,7 @@
 """Back to an exact rotation: renormalising quaternions, orthogonalising matrices, and the drift that calls for it."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from rotation_samples import largest, rotation_vectors
@@ -110,3 +111,16 @@ def test_drift_measures_breathing_scaling_and_skewing(dtype, tolerance):
     shear[0, 1] = 0.02
     skewed = RotationMatrix(m.matrix @ shear.astype(dtype)).drift()
     assert largest(skewed.skew - 0.02 / np.hypot(1, 0.02)) < 2 * small
+
+
+@pytest.mark.parametrize("angle", [0.1, 1.6, 3.0])
+@pytest.mark.parametrize("kind", [Quaternion, RotationMatrix], ids=lambda k: k.__name__)
+def test_turned_projects_the_product_whatever_the_angle(kind, angle, dtype, tolerance):
+    """Drift leaves quadratically, at large turns too, where a projection of the factor would make it grow."""
+    step = Quaternion.exp(angle * jnp.asarray([0.36, -0.48, 0.8], dtype)).wxyz
+    rotation = jax.tree.map(
+        lambda x: x * jnp.asarray(1.01, dtype), kind.exp(jnp.asarray([0.3, 0.2, -0.5], dtype))
+    )
+    after = [rotation := rotation.turned(step, renormalise=True) for _ in range(40)]
+    assert float(jnp.abs(after[0].drift().scale)) < 4e-4  # 1.5 · 0.01², for the matrix with three axes
+    assert float(jnp.abs(after[-1].drift().scale)) < tolerance(float64=2e-15, float32=1e-6)

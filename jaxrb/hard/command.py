@@ -1,0 +1,109 @@
+"""The body of `jaxrb hard-cases`."""
+
+import dataclasses
+import functools
+import json as json_text
+import math
+import sys
+from typing import Any
+
+from jaxrb.bench import peers
+from jaxrb.hard.case import Case, Verdict, judge, precision
+from jaxrb.hard.flight import VERY_LONG_STEPS, long_flip
+from jaxrb.hard.table import cases_named
+from jaxrb.tables import table
+
+_LONG = "intermediate-axis flip, long"
+
+
+def hard_cases(*, only: str | None = None, long: bool = False, json: bool = False) -> None:
+    """Hard cases: what is hard, what it costs in digits, and whether the gradient survives. Exit code 1 if one fails.
+
+    Rotation, springs, fields, derivatives and distances of shapes at the inputs where formulas degenerate; each with a
+    figure and a limit that is stated for this precision. No contact forces: they do not exist yet.
+
+    Example: jaxrb hard-cases --only separatrix
+    Example: jaxrb hard-cases --float32
+
+    Args:
+        only: those whose name contains this.
+        long: 1e7 steps in the long run (a minute or so), not 1e5.
+        json: print one JSON object instead of a table.
+    """
+    from tqdm import tqdm
+
+    cases = cases_named(only)
+    if long:
+        run = functools.partial(long_flip, VERY_LONG_STEPS)
+        cases = tuple(dataclasses.replace(case, run=run) if case.name == _LONG else case for case in cases)
+    version = peers.mujoco_version()
+    rows = []
+    for case in tqdm(cases, disable=not sys.stderr.isatty(), leave=False, unit=" cases"):
+        rows.append((case, judge(case), _peer(case) if version else None))
+    failed = [verdict for _, verdict, _ in rows if not verdict.passed]
+    if json:
+        print(json_text.dumps(_plain(rows, version)))
+    else:
+        print(_report(rows, version))
+    if failed:
+        sys.exit(1)
+
+
+def _peer(case: Case) -> float | str | None:
+    """MuJoCo's figure; its own words where it refuses the body."""
+    if case.peer is None:
+        return None
+    try:
+        return case.peer()
+    except ValueError as error:
+        return f"refused: {str(error).splitlines()[0]}"
+
+
+def _plain(rows: list[tuple[Case, Verdict, Any]], version: str | None) -> dict[str, Any]:
+    found = [
+        verdict.as_dict() | {"hard": case.hard, "stable": case.stable, "mujoco": _json_number(other)}
+        for case, verdict, other in rows
+    ]
+    return {"precision": precision(), "mujoco": version or peers.NOT_INSTALLED, "cases": found}
+
+
+def _json_number(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _report(rows: list[tuple[Case, Verdict, Any]], version: str | None) -> str:
+    lines = []
+    for case, verdict, other in rows:
+        line: dict[str, Any] = {
+            "case": case.name,
+            "figure": f"{verdict.figure:.1e}",
+            "limit": f"{verdict.limit:.0e}",
+            "ended": verdict.status,
+            "gradient": _gradient(verdict),
+            "": "passed" if verdict.passed else "FAILED",
+        }
+        if version:
+            line["MuJoCo RK4"] = f"{other:.1e}" if isinstance(other, float) else other or ""
+        lines.append(line | {"what is hard": case.hard})
+    bad = [verdict for _, verdict, _ in rows if not verdict.passed]
+    measures = dict.fromkeys(case.stable for case, _, _ in rows)
+    parts = [table(lines), "", "What the figures are:"]
+    parts += [
+        f"  {', '.join(case.name for case, _, _ in rows if case.stable == measure)}: {measure}."
+        for measure in measures
+    ]
+    notes = [f"  {v.name}: {v.note}." for _, v, _ in rows if v.note]
+    parts += ["", "Notes:", *notes] if notes else []
+    if version is None:
+        parts += ["", f"MuJoCo: {peers.NOT_INSTALLED}."]
+    parts += ["", f"{len(rows) - len(bad)} of {len(rows)} passed in {precision()}."]
+    parts += [f"FAILED {v.name}: {v.reason}" for v in bad]
+    return "\n".join(parts)
+
+
+def _gradient(verdict: Verdict) -> str:
+    if verdict.gradient_finite is None:
+        return ""
+    if not verdict.gradient_finite:
+        return "NOT FINITE"
+    return "finite" if verdict.gradient_error is None else f"off {verdict.gradient_error:.1e}"
