@@ -15,7 +15,7 @@ import numpy as np
 from jaxrb.bench.peers import mujoco_run
 from jaxrb.body.body import Body
 from jaxrb.body.state import State
-from jaxrb.hard.case import Case, Measured, precision, rounded
+from jaxrb.hard.case import QUICK, Case, Measured, precision, rounded
 from jaxrb.integrators.three_axis_splitting import ThreeAxisSplitting4
 from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.scene.flight import free_flight
@@ -75,7 +75,7 @@ def _stepped(omega: Vector, scene: Scene, state: State) -> tuple[Scalar, State]:
     return jnp.sum(_look(final)), final
 
 
-@jax.jit
+@functools.partial(jax.jit, compiler_options=QUICK)
 @functools.partial(jax.value_and_grad, has_aux=True)
 def _closed(omega: Vector, scene: Scene, state: State, t: Scalar) -> tuple[Scalar, State]:
     final = free_flight(scene, _spun(state, omega), t)
@@ -155,7 +155,11 @@ def _fast() -> Measured:
     error, slope = _against_answer(body, ("closed form",))
     if precision() == "float64":
         error, slope = _slower_for_longer(body), _slope_by_differences(body)
-    return Measured(error, [found[way][2][body] for way in ("steps", "closed form")], slope)
+    stepped, _ = _against_answer(body, ("steps",))
+    note = (
+        f"in steps of half a radian ThreeAxisSplitting4 is off by {stepped:.1g} rad; its gradient is finite"
+    )
+    return Measured(error, [found[way][2][body] for way in ("steps", "closed form")], slope, note=note)
 
 
 def _slower_for_longer(body: int) -> float:
