@@ -19,9 +19,13 @@ from jaxrb.geometry.shape import Shape
 from jaxrb.math.arrays import Array
 
 
-def search(shape_a: Shape, shape_b: Shape, rotation: Array, translation: Array) -> Found:
-    """Distance of the cores of one pair; `rotation` (3, 3) and `translation` (3,) place b in the frame of a."""
-    leaves, structure = jax.tree.flatten(lax.stop_gradient((shape_a, shape_b, rotation, translation)))
+def search(shape_a: Shape, shape_b: Shape, rotation: Array, translation: Array, swap: Any = False) -> Found:
+    """Distance of the cores of one pair; `rotation` (3, 3) and `translation` (3,) place b in the frame of a.
+
+    `swap` (): the faces and edges of a are in b and those of b in a, as they are where a pair was put into order.
+    """
+    pair = (shape_a, shape_b, rotation, translation, jnp.asarray(swap))
+    leaves, structure = jax.tree.flatten(lax.stop_gradient(pair))
     batch = _searched_by(structure)(*(jnp.asarray(leaf)[None] for leaf in leaves))
     return jax.tree.map(lambda x: x[0], batch)
 
@@ -67,7 +71,7 @@ def _in_chunks(structure: Any, leaves: Any) -> Found:
         return jnp.concatenate([leaf, jnp.broadcast_to(leaf[-1:], (padded - pairs, *leaf.shape[1:]))])
 
     leaves = [filled(leaf) for leaf in leaves]
-    dtype = leaves[-1].dtype
+    dtype = leaves[-2].dtype
     found = Found(
         distance=jnp.zeros(padded, dtype),
         normal=jnp.zeros((padded, 3), dtype),

@@ -64,10 +64,13 @@ def _separation(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> C
         return _ordered(*first, *second)
     # Of one type: the order must not depend on who is called a, so the numbers decide.
     swap = _comes_after(first, second)
-    one, other = (
-        jax.tree.map(lambda x, y: jnp.where(swap, x, y), p, q) for p, q in ((second, first), (first, second))
-    )
-    contact = _ordered(*one, *other)
+
+    def chosen(x: Any, y: Any) -> Any:
+        # Not faces and edges: the search looks at them for few pairs, and exchanges them itself.
+        return jnp.where(swap, x, y) if _real(x) else y
+
+    one, other = (jax.tree.map(chosen, p, q) for p, q in ((second, first), (first, second)))
+    contact = _ordered(one[0], one[1], other[0], other[1], swap)
     return jax.tree.map(lambda x, y: jnp.where(swap, x, y), contact.flipped(), contact)
 
 
@@ -99,8 +102,8 @@ def _comes_after(one: Any, other: Any) -> Array:
     return signs[jnp.argmax(signs != 0)] > 0
 
 
-def _ordered(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> Contact:
-    """The contact of a pair in the one order that its types have."""
+def _ordered(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose, swap: Any = False) -> Contact:
+    """The contact of a pair in the one order that its types have. Where `swap`, faces and edges are each other's."""
     dtype = jnp.result_type(*(x for x in jax.tree.leaves((shape_a, pose_a, shape_b, pose_b)) if _real(x)))
     shape_a, pose_a, shape_b, pose_b = jax.tree.map(
         lambda x: jnp.asarray(x, dtype) if _real(x) else jnp.asarray(x), (shape_a, pose_a, shape_b, pose_b)
@@ -108,7 +111,7 @@ def _ordered(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> Cont
     turn_a, turn_b = pose_a.orientation.as_matrix(), pose_b.orientation.as_matrix()
     rotation = matmul(turn_a.T, turn_b)
     translation = matvec(turn_a.T, pose_b.position - pose_a.position)
-    contact = _in_frame_of_a(shape_a, shape_b, rotation, translation)
+    contact = _in_frame_of_a(shape_a, shape_b, rotation, translation, swap)
     contact = contact.grown(shape_a.rounding, shape_b.rounding)
     return Contact(
         contact.distance,
@@ -124,7 +127,7 @@ def _real(x: Any) -> bool:
     return jnp.issubdtype(jnp.result_type(x), jnp.inexact)
 
 
-def _in_frame_of_a(shape_a: Shape, shape_b: Shape, rotation: Array, translation: Array) -> Contact:
+def _in_frame_of_a(shape_a: Shape, shape_b: Shape, rotation: Array, translation: Array, swap: Any) -> Contact:
     """The contact of the cores."""
     if isinstance(shape_a, HalfSpace):
         return closed_forms.plane_and_core(shape_a, shape_b, rotation, translation)
@@ -133,7 +136,7 @@ def _in_frame_of_a(shape_a: Shape, shape_b: Shape, rotation: Array, translation:
     if isinstance(shape_a, (Sphere, Capsule)) and isinstance(shape_b, (Sphere, Capsule)):
         half_a, half_b = (closed_forms.segment_of(shape) for shape in (shape_a, shape_b))
         return closed_forms.segments(half_a, half_b, rotation[:, 2], translation)
-    found = search(shape_a, shape_b, rotation, translation)
+    found = search(shape_a, shape_b, rotation, translation, swap)
     sides = []
     for k, (shape, r, t) in enumerate(((shape_a, None, None), (shape_b, rotation, translation))):
         side = _polytope_side if cores.is_polytope(shape) else _smooth_side

@@ -33,10 +33,12 @@ class Found(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """A chunk of pairs, placed in the frame of a. Of `shapes` the whole numbers are still those of all pairs."""
+    """A chunk of pairs, placed in the frame of a. Of `shapes` the whole numbers are still those of all pairs, and where
+    `swap` each other's."""
 
     shapes: tuple[Shape, Shape]
     index: Array
+    swap: Array
     rotation: Array
     points: tuple[Any, Any]
     supports: tuple[Support, Support]
@@ -52,8 +54,8 @@ def _cut(leaf: Array, index: Array) -> Array:
 def pair_of(structure: Any, leaves: Any, index: Array) -> Pair:
     """The pairs number `index` (L,) of all. Faces and edges, of most pairs never looked at, are left where they are."""
     lanes = index.shape[0]
-    cut = [_cut(leaf, index) if jnp.issubdtype(leaf.dtype, jnp.inexact) else leaf for leaf in leaves]
-    shape_a, shape_b, rotation, translation = jax.tree.unflatten(structure, cut)
+    cut = [_cut(leaf, index) if _is_number(leaf) else leaf for leaf in leaves]
+    shape_a, shape_b, rotation, translation, swap = jax.tree.unflatten(structure, cut)
     frames = ((shape_a, None, None), (shape_b, rotation, translation))
     points = [cores.placed(cores.corners(shape), r, t) for shape, r, t in frames]
     a, b = settled(tuple([jnp.broadcast_to(x, (*x.shape[:2], lanes)) for x in points]))
@@ -66,7 +68,7 @@ def pair_of(structure: Any, leaves: Any, index: Array) -> Pair:
     up = jnp.zeros_like(towards).at[2].set(1.0)
     towards = jnp.where(dot(towards, towards) > 0, towards, up)
     scale, towards = settled((scale, towards))
-    return Pair((shape_a, shape_b), index, rotation, (a, b), (supports[0], supports[1]), scale, towards)
+    return Pair((shape_a, shape_b), index, swap, rotation, (a, b), (supports[0], supports[1]), scale, towards)
 
 
 def searched(pair: Pair, before: Found, second: Any) -> Found:
@@ -168,11 +170,30 @@ def _at_supports(pair: Pair, simplex: Simplex, normal: Any, distance: Any, shift
     )
 
 
+def _with_topology(pair: Pair) -> tuple[Shape, Shape]:
+    """The shapes of the chunk with their own faces and edges."""
+    one, other = pair.shapes
+    if type(one) is not type(other):
+        return jax.tree.map(lambda x: x if _is_number(x) else _cut(x, pair.index), pair.shapes)
+    swap = _cut(pair.swap, pair.index)
+
+    def own(x: Array, y: Array) -> Array:
+        if _is_number(x):
+            return x
+        x, y = _cut(x, pair.index), _cut(y, pair.index)
+        # Of other sizes they were not exchanged: only what is alike in form is put into order by its numbers.
+        return jnp.where(swap.reshape(-1, *(1,) * (x.ndim - 1)), y, x) if x.shape[1:] == y.shape[1:] else x
+
+    return jax.tree.map(own, one, other), jax.tree.map(own, other, one)
+
+
+def _is_number(leaf: Array) -> bool:
+    return jnp.issubdtype(leaf.dtype, jnp.inexact)
+
+
 def _least_depth(pair: Pair, before: Found) -> tuple[Any, Any, Any]:
     """The direction of least depth, the depth there, and a lower bound of the depth."""
-    shapes = jax.tree.map(
-        lambda x: x if jnp.issubdtype(x.dtype, jnp.inexact) else _cut(x, pair.index), pair.shapes
-    )
+    shapes = _with_topology(pair)
     fans = [
         cores.normal_fan(shape, points, r)
         for shape, points, r in zip(shapes, pair.points, (None, pair.rotation))
