@@ -121,7 +121,7 @@ def _zero_quaternion() -> Measured:
 def _zero_quaternion_by_hand() -> Measured:
     scene = Scene(Body(1.0, (1.0, 2.0, 3.0)))
     good = scene.state(angular_velocity=(0.1, 0.2, 0.3))
-    nothing = Quaternion(jnp.zeros_like(good.orientation.wxyz))
+    nothing = Quaternion(jnp.zeros_like(good.orientation.as_quaternion_array()))
     bad = State(good.position, nothing, good.velocity, good.angular_velocity, good.time)
     path = rollout(scene, bad, dt=1e-3, steps=3, on_error="flag")
     return Measured(*_parts(path))
