@@ -19,7 +19,6 @@ from jaxrb.body import (
     replicate,
     valid_inertia,
 )
-from jaxrb.collision import Contact, separation
 from jaxrb.effects import (
     AngularSpring,
     BodyThruster,
@@ -109,6 +108,7 @@ if TYPE_CHECKING:
     from jaxrb.accuracy.cost import CostReport, cost
     from jaxrb.accuracy.planner import Plan, plan
     from jaxrb.accuracy.recommend import Recommendation, recommend
+    from jaxrb.collision import Contact, separation
     from jaxrb.fit import InertiaFit, RatiosNotIdentifiable, fit_inertia
     from jaxrb.io import Recording, read_mesh, read_recording, write_recording
     from jaxrb.scene.adams import SmoothPath, solve_smooth
@@ -117,6 +117,8 @@ __version__ = "0.1.0"
 
 # Loaded when first asked for: not every program fits a recording or plans a run, and `import jaxrb` is waiting time.
 _LATER = {
+    "Contact": "jaxrb.collision",
+    "separation": "jaxrb.collision",
     "CostReport": "jaxrb.accuracy.cost",
     "cost": "jaxrb.accuracy.cost",
     "Recommendation": "jaxrb.accuracy.recommend",

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from jaxrb.errors import InvalidInput, JaxrbWarning, WrongStructure
+from jaxrb.errors import InvalidInput, JaxrbWarning, LimitExceeded, WrongStructure
 
 
 def is_concrete(value: Any) -> bool:
@@ -109,6 +109,12 @@ def check_quantity(
             raise InvalidInput(
                 f"{where}{at(bad, rank)} is {array[bad].ravel()[0]!r} {unit}, but {problem}{hint}"
             )
+
+
+def raise_if_overflowed(overflow: Any, message: str) -> None:
+    """Raise `LimitExceeded` where a capacity was too small. Does nothing while being traced."""
+    if is_concrete(overflow) and np.any(np.asarray(overflow)):
+        raise LimitExceeded(message)
 
 
 def check_direction(where: str, vector: Any) -> None:

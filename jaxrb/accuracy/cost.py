@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.accuracy.differences import Difference, difference
+from jaxrb.accuracy.reference import end_state
 from jaxrb.accuracy.timing import compiled, interleaved
 from jaxrb.body.state import State
 from jaxrb.checks import is_concrete
@@ -17,7 +18,6 @@ from jaxrb.errors import WrongStructure
 from jaxrb.integrators.method import Method
 from jaxrb.integrators.names import method_of
 from jaxrb.integrators.runge_kutta import RungeKutta4
-from jaxrb.math.arrays import Scalar
 from jaxrb.scene.scene import Scene, check_fit
 from jaxrb.scene.settings import check_count, check_positive, check_representation
 from jaxrb.tables import table
@@ -154,24 +154,17 @@ def names(scene: Scene) -> list[str]:
     ]
 
 
-@jax.jit
-def _steps(scene: Scene, state: State, method: Method, dt: Scalar, count: Any) -> State:
-    dynamics = scene.prepared(state.dtype)
-    start = (state, method.first_remainder(state))
-    return jax.lax.fori_loop(0, count, lambda _, c: method.carried_step(dynamics, c[0], c[1], dt), start)[0]
-
-
 def _sizes(scenes: list[Scene], state: State, method: Method, dt: float, rounds: int) -> list[Size]:
     span = jnp.asarray(dt, state.dtype)
     runs, counts, abouts = [], [], []
     for scene in scenes:
-        arguments = (*jax.device_put((scene, state)), method, span)
-        program, seconds, memory = compiled(_steps, *arguments, jnp.asarray(1))
+        arguments = (*jax.device_put((scene, state)), method)
+        program, seconds, memory = compiled(end_state, *arguments, span, jnp.asarray(1))
         jaxpr = jax.make_jaxpr(lambda s, y: method.step(s.prepared(y.dtype), y, span))(scene, state)
         abouts.append((count_equations(jaxpr.jaxpr), count_operations(program.as_text()), seconds, memory))
-        run = functools.partial(program, *arguments)
+        run = functools.partial(_run, program, arguments, span)
         counts.append(_steps_for_a_sample(run))
-        runs.append(functools.partial(run, jnp.asarray(counts[-1])))
+        runs.append(functools.partial(run, counts[-1]))
     seconds = interleaved(runs, rounds)
     return [
         Size(about[0], about[1], about[2], about[3], t / count)
@@ -179,10 +172,14 @@ def _sizes(scenes: list[Scene], state: State, method: Method, dt: float, rounds:
     ]
 
 
+def _run(program: Any, arguments: Any, span: Any, count: int) -> State:
+    return program(*arguments, span * count, jnp.asarray(count))
+
+
 def _steps_for_a_sample(run: Any) -> int:
     count = 64
     while True:
-        once = interleaved([functools.partial(run, jnp.asarray(count))], rounds=1, least=0.0)[0]
+        once = interleaved([functools.partial(run, count)], rounds=1, least=0.0)[0]
         if once > 0.25 * _SAMPLE or count > 2**22:
             return max(64, int(count * _SAMPLE / max(once, 1e-9)))
         count *= 4

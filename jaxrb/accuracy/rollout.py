@@ -58,7 +58,9 @@ def rollout(
     if dt is not None and steps is not None and t1 is None and saves is None:
         method = RungeKutta4() if method is None else method
     else:
-        _check_planned(dt, steps, t1, tolerance, torque, save_every)
+        _check_planned(
+            {"dt": dt, "steps": steps}, {"t1": t1, "tolerance": tolerance}, saves, torque, save_every
+        )
         assert t1 is not None
         assert tolerance is not None
         dt, steps, save_every, method = _planned(scene, state, t1, tolerance, method, saves)
@@ -68,13 +70,9 @@ def rollout(
     )  # fmt: skip
 
 
-def _check_planned(dt: Any, steps: Any, t1: Any, tolerance: Any, torque: Any, save_every: int) -> None:
-    if dt is not None or steps is not None or t1 is None or tolerance is None:
-        given = [
-            k
-            for k, v in (("dt", dt), ("steps", steps), ("t1", t1), ("tolerance", tolerance))
-            if v is not None
-        ]
+def _check_planned(stepped: dict, planned: dict, saves: Any, torque: Any, save_every: int) -> None:
+    if any(v is not None for v in stepped.values()) or any(v is None for v in planned.values()):
+        given = [k for k, v in (stepped | planned | {"saves": saves}).items() if v is not None]
         raise WrongStructure(
             f"rollout: given {', '.join(given) or 'neither'}; give dt and steps (save_every counts steps), or t1 and "
             "tolerance to have them chosen (saves counts states)"

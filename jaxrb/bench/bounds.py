@@ -17,7 +17,7 @@ from jaxrb.accuracy.timing import interleaved
 from jaxrb.collision.broadphase import body_pairs
 from jaxrb.collision.mesh_pairs import MeshTree, meeting_triangles, mesh_distance
 from jaxrb.collision.narrowphase import separation
-from jaxrb.collision.oriented_boxes import oriented_boxes_gap
+from jaxrb.collision.obb import oriented_boxes_gap
 from jaxrb.geometry.bounds import bounding_box, bounding_sphere, boxes_gap, oriented_box, spheres_gap
 from jaxrb.geometry.hull import ConvexHull, stack_hulls
 from jaxrb.geometry.mesh import TriangleMesh

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrb.checks import is_concrete
-from jaxrb.errors import LimitExceeded, WrongStructure
+from jaxrb.checks import raise_if_overflowed
+from jaxrb.errors import WrongStructure
 from jaxrb.geometry.hierarchy import Hierarchy, dealt, walk
 from jaxrb.math.arrays import Array, Scalar
 
@@ -34,11 +34,11 @@ class BodyPairs(NamedTuple):
 
     def raise_if_overflowed(self) -> None:
         """Raise `LimitExceeded` where pairs are missing. Does nothing while being traced."""
-        if is_concrete(self.overflow) and np.any(np.asarray(self.overflow)):
-            raise LimitExceeded(
-                f"broad phase: more than capacity={self.first.shape[-1]} pairs of boxes overlap; raise the capacity, "
-                "or look for bodies that are far too large or all in one place"
-            )
+        raise_if_overflowed(
+            self.overflow,
+            f"broad phase: more than capacity={self.first.shape[-1]} pairs of boxes overlap; raise the capacity, "
+            "or look for bodies that are far too large or all in one place",
+        )
 
 
 def body_pairs(

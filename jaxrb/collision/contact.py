@@ -9,8 +9,7 @@ class Contact(eqx.Module):
     """Nearest points of two shapes a and b, or where they overlap the shortest way out.
 
     * `distance` (...) [m]: positive apart; negative overlapping, minus the length of the shortest translation of b
-    that
-      parts them.
+      that parts them.
     * `normal` (..., 3): unit vector from a to b in W. Moving b by −`distance` along it makes overlapping shapes touch.
     * `point_a`, `point_b` (..., 3) [m]: a witness on each shape in W; point_b − point_a = `distance` · `normal`.
     * `lower`, `upper` (...) [m]: the certificate. The true distance lies between them, round-off included; they come

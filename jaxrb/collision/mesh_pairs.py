@@ -8,9 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxrb.checks import is_concrete
+from jaxrb.checks import raise_if_overflowed
 from jaxrb.collision.triangles import closest_points, triangles_meet
-from jaxrb.errors import LimitExceeded
 from jaxrb.geometry.hierarchy import Hierarchy, descend, hierarchy_of, walk
 from jaxrb.geometry.mesh import TriangleMesh
 from jaxrb.geometry.primitives import Pose
@@ -64,11 +63,11 @@ class TrianglePairs(NamedTuple):
 
     def raise_if_overflowed(self) -> None:
         """Raise `LimitExceeded` where pairs are missing. Does nothing while being traced."""
-        if is_concrete(self.overflow) and np.any(np.asarray(self.overflow)):
-            raise LimitExceeded(
-                f"triangle pairs: more than capacity={self.first.shape[-1]} (or eight times as many whose boxes meet); "
-                "raise capacity"
-            )
+        raise_if_overflowed(
+            self.overflow,
+            f"triangle pairs: more than capacity={self.first.shape[-1]} (or eight times as many whose boxes meet); "
+            "raise capacity",
+        )
 
 
 def meeting_triangles(

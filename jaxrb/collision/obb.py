@@ -9,7 +9,9 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from jaxrb.geometry.bounds import OrientedBox
 from jaxrb.math.arrays import Array, Scalar, Vector, components, entries, stack
+from jaxrb.math.vector import matmul, matvec
 
 
 def separation_of_boxes(
@@ -60,3 +62,14 @@ def separation_of_boxes(
             proposed[i1], proposed[i2] = -r[i2][j] * scale, r[i1][j] * scale
             offer(jnp.where(usable, (jnp.abs(gap) - reach) * scale, -jnp.inf), gap, proposed)
     return best, stack(*axis)
+
+
+def oriented_boxes_gap(a: OrientedBox, b: OrientedBox) -> Scalar:
+    """The largest gap [m] of two boxes along a direction: positive where some plane parts them, and then ≤ distance.
+
+    Negative: minus the depth of overlap, exactly. `separation_of_boxes` gives the direction too.
+    """
+    turn_a, turn_b = a.pose.orientation.as_matrix(), b.pose.orientation.as_matrix()
+    across = turn_a.swapaxes(-1, -2)
+    apart = matvec(across, b.pose.position - a.pose.position)
+    return separation_of_boxes(a.half_extents, b.half_extents, matmul(across, turn_b), apart)[0]

@@ -7,7 +7,7 @@ import numpy as np
 from jaxrb.body.mass_properties import MassProperties
 from jaxrb.body.state import State
 from jaxrb.checks import quantity
-from jaxrb.effects.effect import Effect, Force, Wrench
+from jaxrb.effects.effect import Effect, Force, Wrench, check_shapes
 from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.math.safe import norm
 from jaxrb.math.vector import cross, dot
@@ -70,6 +70,9 @@ class MutualGravity(Effect):
     """
 
     constant: Scalar = quantity((), nonnegative=True, unit="m³/(kg s²)", default=6.67430e-11)
+
+    def check(self, count: int) -> None:
+        check_shapes(self, 1, "all bodies", "one value")
 
     def wrench_on(self, bodies: MassProperties, state: State) -> Wrench:
         with jax.named_scope("MutualGravity"):

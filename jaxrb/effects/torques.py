@@ -9,7 +9,7 @@ from jaxrb.body.mass_properties import MassProperties
 from jaxrb.body.state import State
 from jaxrb.body.validity import inertia_matrix
 from jaxrb.checks import check_direction, quantity
-from jaxrb.effects.effect import Effect, Force, Wrench, check_indices, scattered, taken
+from jaxrb.effects.effect import Effect, Force, Wrench, check_indices, check_shapes, scattered, taken
 from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.math.quaternion import Quaternion
@@ -83,6 +83,7 @@ class AngularSpring(Effect):
     def check(self, count: int) -> None:
         pair = (self.body_a,) if self.body_b is None else (self.body_a, self.body_b)
         check_indices("AngularSpring", "body_a and body_b", pair, count)
+        check_shapes(self, 1, "the spring", "one value")
         if self.body_a == self.body_b:
             raise WrongStructure(f"AngularSpring: body {self.body_a} cannot be twisted against itself")
 

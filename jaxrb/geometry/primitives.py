@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxrb.body import mass_properties as closed_form
 from jaxrb.body.mass_properties import MassProperties
-from jaxrb.checks import is_concrete, quantity
-from jaxrb.errors import InvalidInput, WrongStructure
+from jaxrb.checks import check_direction, quantity
+from jaxrb.errors import WrongStructure
 from jaxrb.geometry.shape import Shape
 from jaxrb.math.arrays import Scalar, Vector, components, stack
 from jaxrb.math.quaternion import Quaternion
@@ -129,14 +129,11 @@ class HalfSpace(Shape):
 
     def __post_init__(self):
         super().__post_init__()
-        if is_concrete(self.normal):
-            normal = np.asarray(self.normal)
-            if not (np.abs(normal).max(axis=-1) > 0).all():
-                raise InvalidInput("HalfSpace.normal is the zero vector, but must point out of the solid")
-            if isinstance(self.normal, np.ndarray):
-                normal = normal / np.abs(normal).max(axis=-1, keepdims=True)
-                object.__setattr__(self, "normal", normal / np.linalg.norm(normal, axis=-1, keepdims=True))
-                return
+        check_direction("HalfSpace.normal", self.normal)
+        if isinstance(self.normal, np.ndarray):
+            normal = self.normal / np.abs(self.normal).max(axis=-1, keepdims=True)
+            object.__setattr__(self, "normal", normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+            return
         object.__setattr__(self, "normal", unit_or(self.normal, jnp.zeros_like(self.normal)))
 
     def mass_properties(self, density: Scalar) -> MassProperties:

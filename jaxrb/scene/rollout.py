@@ -48,22 +48,9 @@ def rollout(
     on_error: str = "raise",
     max_bytes: int = DEFAULT_MAX_BYTES,
 ) -> Path:
-    """Advance a scene by `steps` steps of `dt` [s]; keep the initial and every `save_every`-th state.
+    """`steps` steps of `dt` [s] in one program; keeps the initial and every `save_every`-th state.
 
-    Args:
-        scene, state: as for `step`.
-        torque: applied body torque [N m]: (n, 3) throughout, or (steps, n, 3), one a step.
-        save_every: `states` holds steps 0, k, 2k, …; `final` is always the very last state.
-        adjoint: how the reverse pass finds the states again: "checkpoint" recomputes them, "reversible" runs a
-            symmetric method backwards from the saved states, in memory that does not grow with `save_every`.
-        certify: estimate the run's own error, for three quarters of its cost more: `path.certificate`.
-        tolerance: the error [rad and m] that the certificate is to compare with; implies `certify`.
-        on_error: "raise" `RunFailed` when a state leaves the finite numbers, or "flag" it in `path.status`. Inside
-            `jit`, `vmap` or `grad` nothing can be raised: call `path.raise_if_bad()` outside.
-        max_bytes: refuse to start if the saved states would need more.
-
-    The reverse pass recomputes each saved stretch from its start: its memory is that of the saved states, and about
-    √save_every states more.
+    The public `rb.rollout` (`accuracy/rollout.py`) is this and the choice of a step; all arguments are told there.
     """
     method = method_of(method)
     check_fit(scene, state)

@@ -7,7 +7,7 @@ import pytest
 from rotation_samples import QUICK
 
 import jaxrb as rb
-from jaxrb.collision.oriented_boxes import oriented_boxes_gap
+from jaxrb.collision.obb import oriented_boxes_gap
 from jaxrb.geometry.bounds import OrientedBox
 
 COUNT = 300
