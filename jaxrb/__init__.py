@@ -37,6 +37,7 @@ from jaxrb.effects import (
     PlateAerodynamics,
     PrescribedTorque,
     QuadraticDrag,
+    RigidContact,
     SpringDamper,
     UniformGravity,
     Wrench,

@@ -19,6 +19,7 @@ FLOORS = {
     "geometry": 2,
     "collision": 3,
     "effects": 4,
+    "contact": 4.5,  # an effect that a step resolves
     "integrators": 5,
     "scene": 6,
     "accuracy": 7,

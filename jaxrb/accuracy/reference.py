@@ -59,7 +59,7 @@ def end_state(scene: Scene, state: State, method: Method, duration: Scalar, coun
     """The state after `count` steps over `duration` [s]. The count is a number of the run: one program serves all."""
     dynamics = scene.prepared(state.dtype)
     dt = duration / count
-    start = (state, method.first_remainder(state))
+    start = (state, method.first_carry(dynamics, state))
     return jax.lax.fori_loop(0, count, lambda _, c: method.carried_step(dynamics, c[0], c[1], dt), start)[0]
 
 

@@ -33,6 +33,10 @@ class InertiaSolver(eqx.Module):
         """ω̇ [rad/s²]; None stands for a torque, or an acceleration, that is zero by type."""
         raise NotImplementedError
 
+    def inverted(self) -> Inertia:
+        """I⁻¹ [1/(kg m²)] as the same kind of tensor."""
+        raise NotImplementedError
+
     def inverse_invariants(self) -> tuple[Scalar, Scalar, Scalar]:
         """Trace, sum of principal minors and determinant of I⁻¹."""
         raise NotImplementedError
@@ -79,6 +83,9 @@ class SphericalSolver(InertiaSolver):
     def acceleration(self, angular_velocity: Vector, torque: Vector | None) -> Vector | None:
         return None if torque is None else self.response(torque)
 
+    def inverted(self) -> Inertia:
+        return SphericalInertia(self.inverse)
+
     def response(self, torque: Vector) -> Vector:
         return stack(*(self.inverse * t for t in components(torque)))
 
@@ -104,6 +111,9 @@ class PrincipalSolver(InertiaSolver):
         return stack(
             *(f + i * t for f, i, t in zip(free, components(self.inverse), components(torque), strict=True))
         )
+
+    def inverted(self) -> Inertia:
+        return PrincipalInertia(self.inverse)
 
     def response(self, torque: Vector) -> Vector:
         return stack(*(i * t for i, t in zip(components(self.inverse), components(torque), strict=True)))
@@ -140,6 +150,9 @@ class FullSolver(InertiaSolver):
     def acceleration(self, angular_velocity: Vector, torque: Vector | None) -> Vector:
         net = cross(self.inertia.apply(angular_velocity), angular_velocity)
         return self.response(net if torque is None else net + torque)
+
+    def inverted(self) -> Inertia:
+        return FullInertia(self.inverse)
 
     def response(self, torque: Vector) -> Vector:
         return symmetric_apply(self.inverse, torque)

@@ -14,6 +14,7 @@ from jaxrb.effects.fluid import Buoyancy as Buoyancy
 from jaxrb.effects.fluid import MagnusForce as MagnusForce
 from jaxrb.effects.fluid import PlateAerodynamics as PlateAerodynamics
 from jaxrb.effects.gravity import UniformGravity as UniformGravity
+from jaxrb.effects.rigid_contact import RigidContact as RigidContact
 from jaxrb.effects.spring import SpringDamper as SpringDamper
 from jaxrb.effects.thruster import BodyThruster as BodyThruster
 from jaxrb.effects.thruster import PrescribedTorque as PrescribedTorque

@@ -15,6 +15,7 @@ from jaxrb.body.mass_properties import MassProperties
 from jaxrb.body.state import State
 from jaxrb.effects.effect import Effect, Wrench
 from jaxrb.effects.fixed_point import FixedPoint
+from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Scalar, Vector
 
@@ -34,6 +35,9 @@ class Dynamics(eqx.Module):
     inertia: InertiaSolver
     effects: tuple[Effect, ...]
     fixed_points: tuple[FixedPoint, ...]
+    contact: Any = (
+        None  # what resolves the bodies' contacts after a step (`contact/step.py`); None where none can be
+    )
 
     def wrench(self, state: State, torque: Vector | None = None) -> Wrench:
         """Sum of all effects and the applied body torque."""
@@ -61,20 +65,20 @@ class Dynamics(eqx.Module):
         return state
 
 
-def prepare(bodies: MassProperties, effects: tuple[Effect, ...], dtype: Any) -> Dynamics:
+def prepare(bodies: MassProperties, effects: tuple[Effect, ...], dtype: Any, contact: Any = None) -> Dynamics:
     """The dynamics of bodies (with a bodies axis) under effects, for states of this floating type."""
 
     def cast(leaf: Any) -> Any:
         return jnp.asarray(leaf, dtype) if eqx.is_inexact_array(leaf) else leaf
 
-    bodies, effects = jax.tree.map(cast, (bodies, effects))
+    bodies, effects, contact = jax.tree.map(cast, (bodies, effects, contact))
     fixed = tuple(effect for effect in effects if isinstance(effect, FixedPoint))
     _check_held_once(fixed, bodies.mass.shape[0])
     rotating = bodies.inertia
     for point in fixed:
         rotating = point.inertia_about_point(MassProperties(bodies.mass, bodies.center_of_mass, rotating))
-    active = tuple(effect for effect in effects if not isinstance(effect, FixedPoint))
-    return Dynamics(bodies, 1.0 / bodies.mass, solver(rotating), active, fixed)
+    active = tuple(effect for effect in effects if not isinstance(effect, (FixedPoint, RigidContact)))
+    return Dynamics(bodies, 1.0 / bodies.mass, solver(rotating), active, fixed, contact)
 
 
 def _check_held_once(fixed: tuple[FixedPoint, ...], count: int) -> None:

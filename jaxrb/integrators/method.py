@@ -36,24 +36,45 @@ class Method(eqx.Module):
         """The orientation after a step, as an exact rotation if so asked."""
         return orientation.renormalise() if self.renormalise else orientation
 
-    def step(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None = None) -> State:
-        """One whole step: advance, project, put constrained bodies in their place, count the time."""
-        with jax.named_scope(type(self).__name__):
-            new = self.advance(dynamics, state, dt, torque)
-        done = State(
-            new.position, self.project(new.orientation), new.velocity, new.angular_velocity, state.time + dt
-        )
-        return dynamics.complete(done)
-
     def first_remainder(self, state: State) -> Any:
         """What a run carries from step to step beside the state; None for a method that carries nothing."""
         return None
 
-    def carried_step(
-        self, dynamics: Dynamics, state: State, remainder: Any, dt: Scalar, torque: Vector | None = None
+    def free_step(
+        self, dynamics: Dynamics, state: State, remainder: Any, dt: Scalar, torque: Vector | None
     ) -> tuple[State, Any]:
-        """`step` within a run, and what to carry to the next."""
-        return self.step(dynamics, state, dt, torque), remainder
+        """One step without contact: advance, project, count the time; and what to carry to the next."""
+        new = self.advance(dynamics, state, dt, torque)
+        orientation = self.project(new.orientation)
+        return State(
+            new.position, orientation, new.velocity, new.angular_velocity, state.time + dt
+        ), remainder
+
+    def first_carry(self, dynamics: Dynamics, state: State) -> Any:
+        """What `carried_step` wants to be given at the start of a run."""
+        memory = None if dynamics.contact is None else dynamics.contact.first_memory(state)
+        return self.first_remainder(state), memory
+
+    def carried_step(
+        self, dynamics: Dynamics, state: State, carry: Any, dt: Scalar, torque: Vector | None = None
+    ) -> tuple[State, Any]:
+        """One whole step within a run, with constrained bodies in their place, and what to carry to the next."""
+        remainder, memory = carry
+        with jax.named_scope(type(self).__name__):
+            new, remainder = self.free_step(dynamics, state, remainder, dt, torque)
+        if dynamics.contact is not None:
+            with jax.named_scope("RigidContact"):
+                new, memory = dynamics.contact.resolved(dynamics, state, new, dt, memory)
+        return dynamics.complete(new), (remainder, memory)
+
+    def step(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None = None) -> State:
+        """One whole step on its own."""
+        return self.carried_step(dynamics, state, self.first_carry(dynamics, state), dt, torque)[0]
+
+
+def contact_report(carry: Any) -> Any:
+    """What contact has done so far, of what `carried_step` carries; None in a scene without contact."""
+    return None if carry[1] is None else carry[1].report
 
 
 class Rates(eqx.Module):

@@ -34,24 +34,18 @@ class RungeKutta4(Method):
     def first_remainder(self, state: State) -> Rates | None:
         return no_remainder(state) if self.compensated else None
 
-    def carried_step(
-        self,
-        dynamics: Dynamics,
-        state: State,
-        remainder: Rates | None,
-        dt: Scalar,
-        torque: Vector | None = None,
+    def free_step(
+        self, dynamics: Dynamics, state: State, remainder: Rates | None, dt: Scalar, torque: Vector | None
     ) -> tuple[State, Any]:
         if remainder is None:
-            return super().carried_step(dynamics, state, remainder, dt, torque)
-        with jax.named_scope(f"compensated {type(self).__name__}"):
+            return super().free_step(dynamics, state, remainder, dt, torque)
+        with jax.named_scope("compensated"):
             change = jax.tree.map(lambda rate: dt * rate, self._mean_rates(dynamics, state, dt, torque))
             if self.renormalise:
                 # In the same sum: a projection after it would round again, and nothing would catch that.
                 turn = jax.tree.map(operator.add, change.orientation, state.orientation.projecting_change())
                 change = Rates(change.position, turn, change.velocity, change.angular_velocity)
-            done, remainder = compensated_sum(state, remainder, change, dt)
-        return dynamics.complete(done), remainder
+            return compensated_sum(state, remainder, change, dt)
 
     def _mean_rates(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None) -> Rates:
         half = 0.5 * dt

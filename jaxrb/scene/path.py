@@ -1,5 +1,7 @@
 """The result of a run."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 
@@ -27,7 +29,8 @@ class Diagnostics(eqx.Module):
 class Path(eqx.Module):
     """A run: `times` (k,) [s], the saved `states` (leading axis k), the `final` state and the `status`.
 
-    `certificate` holds the estimated errors of a run that was asked to `certify`.
+    `certificate` holds the estimated errors of a run that was asked to `certify`; `contact` what contact did up to each
+    saved time (a `ContactReport` with leading axis k), None in a scene without contact.
     """
 
     times: Array
@@ -36,6 +39,7 @@ class Path(eqx.Module):
     status: Status
     scene: Scene
     certificate: Certificate | None = None
+    contact: Any = None
 
     @property
     def diagnostics(self) -> Diagnostics:

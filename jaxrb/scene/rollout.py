@@ -9,7 +9,7 @@ from jax import lax
 
 from jaxrb.body.state import State, finite_per_body
 from jaxrb.errors import InvalidInput
-from jaxrb.integrators.method import Method
+from jaxrb.integrators.method import Method, contact_report
 from jaxrb.integrators.names import method_of
 from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.math.arrays import Scalar, Vector
@@ -30,7 +30,7 @@ from jaxrb.scene.settings import (
     check_tolerance,
     warn_of_coarse_steps,
 )
-from jaxrb.scene.status import Status, sound, status_after
+from jaxrb.scene.status import Status, sound, status_after, with_contact
 
 
 def rollout(
@@ -64,7 +64,7 @@ def rollout(
     torque = applied_torque(torque, state, steps)
     check_adjoint(adjoint, method, torque)
     warn_of_coarse_steps(scene, state, dt, method)
-    times, states, final, status = _run(
+    times, states, final, status, contact = _run(
         scene,
         state,
         torque,
@@ -81,7 +81,7 @@ def rollout(
         certificate = certificate_of(
             scene, states, torque, jnp.asarray(dt, state.dtype), method, steps, save_every, tolerance
         )
-    path = Path(times, states, final, status, scene, certificate)
+    path = Path(times, states, final, status, scene, certificate, contact)
     if on_error == "raise":
         path.raise_if_bad()
     return path
@@ -97,15 +97,15 @@ def _run_steps(
     steps: int,
     save_every: int,
     adjoint: str,
-) -> tuple[Scalar, State, State, Status]:
+) -> tuple[Scalar, State, State, Status, Any]:
     dynamics = scene.prepared(state.dtype)
     start = state.time
     varying = torque is not None and torque.ndim == 3
 
     def one(carry: tuple, given: Vector | None) -> tuple[tuple, None]:
-        state, remainder, finite_steps, done = carry
-        new, remainder = method.carried_step(dynamics, state, remainder, dt, given if varying else torque)
-        return (timed(new, done + 1), remainder, finite_steps + finite_per_body(new), done + 1), None
+        state, memory, finite_steps, done = carry
+        new, memory = method.carried_step(dynamics, state, memory, dt, given if varying else torque)
+        return (timed(new, done + 1), memory, finite_steps + finite_per_body(new), done + 1), None
 
     def timed(state: State, done: Scalar) -> State:
         # The time is counted, not added up: 1e6 additions in float32 would lose the third digit.
@@ -115,18 +115,18 @@ def _run_steps(
     def advance(carry: tuple, given: Vector | None, count: int) -> tuple:
         if adjoint == "checkpoint":
             return _scan(one, carry, given, count)
-        state, remainder, finite_steps, done = carry
+        state, memory, finite_steps, done = carry
         reversed_run: Any = reversible_steps  # custom_vjp hides its signature from type checkers
         new, finite = reversed_run(method, count, dynamics, state, dt, torque)
-        return timed(new, done + count), remainder, finite_steps + finite, done + count
+        return timed(new, done + count), memory, finite_steps + finite, done + count
 
-    def stretch(carry: tuple, given: Vector | None) -> tuple[tuple, State]:
+    def stretch(carry: tuple, given: Vector | None) -> tuple[tuple, Any]:
         carry = advance(carry, given, save_every)
-        return carry, carry[0]
+        return carry, (carry[0], contact_report(carry[1]))
 
     saves = steps // save_every
     bad = sound(state, method.renormalise)
-    carry = (state, method.first_remainder(state), jnp.zeros_like(bad), jnp.zeros((), jnp.int32))
+    carry = (state, method.first_carry(dynamics, state), jnp.zeros_like(bad), jnp.zeros((), jnp.int32))
     regular, rest = None, None
     if torque is not None and varying:
         regular = torque[: saves * save_every].reshape(saves, save_every, *torque.shape[1:])
@@ -136,8 +136,11 @@ def _run_steps(
     carry, saved = lax.scan(stretch, carry, regular, length=saves)
     if steps > saves * save_every:
         carry = advance(carry, rest, steps - saves * save_every)
-    states = jax.tree.map(lambda first, later: jnp.concatenate([first[None], later]), state, saved)
-    return states.time, states, carry[0], status_after(bad, carry[2], steps, carry[0], method.renormalise)
+    first = (state, contact_report(method.first_carry(dynamics, state)))
+    states, contact = jax.tree.map(lambda one, later: jnp.concatenate([one[None], later]), first, saved)
+    status = status_after(bad, carry[2], steps, carry[0], method.renormalise)
+    status = with_contact(status, contact_report(carry[1]))
+    return states.time, states, carry[0], status, contact
 
 
 _run = jax.jit(_run_steps, static_argnames=("steps", "save_every", "adjoint"))

@@ -10,6 +10,7 @@ from jaxrb.body.body import Body, count_of, stacked
 from jaxrb.body.mass_properties import MassProperties
 from jaxrb.body.state import State
 from jaxrb.checks import Checked
+from jaxrb.contact import contact_of
 from jaxrb.effects.dynamics import Dynamics, prepare
 from jaxrb.effects.effect import Effect
 from jaxrb.effects.fixed_point import FixedPoint
@@ -58,7 +59,7 @@ class Scene(Checked):
 
     def prepared(self, dtype: Any) -> Dynamics:
         """The equations of motion for states of this floating type."""
-        return prepare(self.stacked(), self.effects, dtype)
+        return prepare(self.stacked(), self.effects, dtype, contact_of(self.bodies, self.effects))
 
     def state(
         self,

@@ -1,5 +1,7 @@
 """What went wrong in a run, and where: carried with the result, raised once at the outermost call."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -9,11 +11,12 @@ from jaxrb.checks import is_concrete
 from jaxrb.errors import RunFailed
 from jaxrb.math.arrays import Array
 
-OK, NOT_FINITE, NOT_A_ROTATION, STOPPED_EARLY = 0, 1, 2, 3
+OK, NOT_FINITE, NOT_A_ROTATION, STOPPED_EARLY, TOO_MANY_CONTACTS = 0, 1, 2, 3, 4
 _REASONS = {
     NOT_FINITE: "the state is not finite (NaN or infinity)",
     NOT_A_ROTATION: "the orientation is no rotation any more",
     STOPPED_EARLY: "the solver stopped before the end (max_steps reached or no step small enough)",
+    TOO_MANY_CONTACTS: "more pairs of bodies are near each other than RigidContact has room for (raise capacity)",
 }
 
 
@@ -74,3 +77,14 @@ def status_after(initial: Array, finite_steps: Array, steps: int, final: State, 
         reason = jnp.where(collapsed, NOT_A_ROTATION, reason)
         first = jnp.where(collapsed, steps, first)
     return Status(reason, first)
+
+
+def with_contact(status: Status, report: Any) -> Status:
+    """The status of a run in which contact may have had too little room: no body's motion can then be trusted."""
+    if report is None:
+        return status
+    short = (report.overflow >= 0) & (status.reason == OK)
+    return Status(
+        jnp.where(short, TOO_MANY_CONTACTS, status.reason).astype(jnp.int32),
+        jnp.where(short, report.overflow + 1, status.first_bad_step),
+    )

@@ -1,0 +1,5 @@
+"""Rigid contact: from shapes that come near each other to the impulses between them."""
+
+from jaxrb.contact.surfaces import contact_of
+
+__all__ = ["contact_of"]

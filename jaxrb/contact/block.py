@@ -1,0 +1,114 @@
+"""Contacts of one world as arrays: blocks of a few points, one block for each pair that may touch.
+
+All points of a block join the same two things, so a body's velocity is looked up once a block, and the points' forces
+are summed before they are handed to the body: gathering and scattering are what costs time here, not arithmetic.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrb.math.arrays import Array, Scalar, Vector, components, stack
+from jaxrb.math.vector import cross
+
+
+class Incidence(eqx.Module):
+    """Which bodies meet in which block.
+
+    The first blocks join a body with what stands still: their bodies `lone` are known when the program is traced. The
+    others join body `first` (p,) with body `second` (p,), numbers found at run time; `count` itself is nobody.
+    """
+
+    lone: tuple[int, ...] = eqx.field(static=True)
+    first: Array
+    second: Array
+    count: int = eqx.field(static=True)
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return len(self.lone) + len(self.first)
+
+    def take(self, motion: Array) -> tuple[Array, Array | None]:
+        """Rows (blocks, k) of the bodies that are pushed, and rows (p, k) of those that are pushed back."""
+        lone = self._of_lone(motion)
+        if not len(self.first):
+            return lone, None
+        padded = jnp.concatenate([motion, jnp.zeros_like(motion[:1])])
+        both = padded[jnp.concatenate([self.second, self.first])]
+        second, first = both[: len(self.first)], both[len(self.first) :]
+        return (jnp.concatenate([lone, second]) if self.lone else second), first
+
+    def give(self, pushed: Array, back: Array | None) -> Array:
+        """Rows added up over the blocks of each body (count, k)."""
+        lone = pushed[: len(self.lone)]
+        if self.lone == tuple(range(self.count)):
+            total = lone
+        elif self.lone:
+            total = (
+                jnp.zeros((self.count, pushed.shape[-1]), pushed.dtype).at[np.asarray(self.lone)].add(lone)
+            )
+        else:
+            total = jnp.zeros((self.count, pushed.shape[-1]), pushed.dtype)
+        if back is None:
+            return total
+        rows = jnp.concatenate([pushed[len(self.lone) :], back])
+        # Nobody's rows fall outside, where they are dropped.
+        return total.at[jnp.concatenate([self.second, self.first])].add(rows, mode="drop")
+
+    def _of_lone(self, motion: Array) -> Array:
+        if self.lone == tuple(range(self.count)):
+            return motion
+        return motion[np.asarray(self.lone, int)]
+
+
+class Contacts(eqx.Module):
+    """Points of contact: blocks (k) of slots (s).
+
+    * `normal` (k, 3): unit vector in W toward the body that is pushed.
+    * `lever` (k, s, 3) [m]: from that body's centre of mass to the point, in W; `lever_back` (p, s, 3) from the centre
+      of the body that is pushed back, None where none is.
+    * `distance` (k, s) [m]: negative where they overlap. `active` (k, s): which slots hold a point near enough.
+    * `friction` (k,), `restitution` (k,): None where the scene has none.
+    * `feature` (k, s): whole numbers that name the point within its pair.
+    """
+
+    incidence: Incidence
+    normal: Vector
+    lever: Vector
+    lever_back: Vector | None
+    distance: Scalar
+    active: Array
+    friction: Scalar | None
+    restitution: Scalar | None
+    feature: Array
+
+    def relative_velocity(self, motion: Array) -> Vector:
+        """Velocity (k, s, 3) [m/s] of the pushed body against the other at each point, of (v, ω) (n, 6) in W."""
+        pushed, back = self.incidence.take(motion)
+        velocity = _point_velocity(pushed, self.lever)
+        if back is None or self.lever_back is None:
+            return velocity
+        other = _point_velocity(back, self.lever_back)
+        lone = len(self.incidence.lone)
+        return velocity.at[lone:].add(-other) if lone else velocity - other
+
+    def impulse_on_bodies(self, impulse: Vector) -> Array:
+        """Sum (n, 6) of impulse [N s] and angular impulse [N m s] on each body, of impulses (k, s, 3) in W."""
+        lone = len(self.incidence.lone)
+        pushed = _summed_wrench(impulse, self.lever)
+        back = None if self.lever_back is None else -_summed_wrench(impulse[lone:], self.lever_back)
+        return self.incidence.give(pushed, back)
+
+
+def _point_velocity(motion: Array, lever: Vector) -> Vector:
+    parts = [part[:, None] for part in components(motion)]
+    r1, r2, r3 = components(lever)
+    v1, v2, v3, w1, w2, w3 = parts
+    return stack(v1 + (w2 * r3 - w3 * r2), v2 + (w3 * r1 - w1 * r3), v3 + (w1 * r2 - w2 * r1))
+
+
+def _summed_wrench(impulse: Vector, lever: Vector) -> Array:
+    turning = cross(lever, impulse)
+    parts = [*components(impulse), *components(turning)]
+    return stack(*(jnp.sum(part, axis=-1) for part in parts))

@@ -1,0 +1,128 @@
+"""Derivatives of the contact solve by the implicit function theorem: through its equations, not through its loops.
+
+At the solution each point is open, sticks or slides, and its law is linear in a neighbourhood: open λ = 0; stick
+J u = b n; slide: the normal part as stick, the tangential one μ λₙ against the sliding. With these the tangent of the
+motion solves one linear system. Where a point is just between two of them (touching without force, at the limit of
+friction) the motion has no derivative but one to each side; the one returned is that of the state in which the solve
+ended, and it is finite.
+
+The linear law keeps a compliance of its own, far below the solve's, so that several points that share one load (four
+corners of a box) have a unique answer: the motion's derivative is off by about that share.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxrb.contact.law import projected
+from jaxrb.contact.problem import Problem
+from jaxrb.contact.solver import Solution, compliance, solve_contacts
+from jaxrb.math.arrays import Array, Scalar, Vector
+from jaxrb.math.vector import dot
+
+
+@jax.custom_jvp
+def solve(problem: Problem, start: Vector) -> Solution:
+    """`solve_contacts` with derivatives, forward and reverse, of motion and impulses with respect to `problem`."""
+    return solve_contacts(problem, start)
+
+
+@solve.defjvp
+def _rule(primals: Any, tangents: Any) -> Any:
+    found = solve(*primals)
+    numbers, rest = eqx.partition(primals[0], eqx.is_inexact_array)
+    change, _ = eqx.partition(tangents[0], eqx.is_inexact_array)
+    motion, impulse = _tangents(numbers, change, rest, found)
+    still = jax.tree.map(_no_tangent, found)
+    return found, eqx.tree_at(lambda s: (s.motion, s.impulse), still, (motion, impulse))
+
+
+def _no_tangent(leaf: Array) -> Any:
+    if jnp.issubdtype(leaf.dtype, jnp.inexact):
+        return jnp.zeros_like(leaf)
+    return np.zeros(leaf.shape, jax.dtypes.float0)
+
+
+def _tangents(numbers: Problem, change: Problem, rest: Any, found: Solution) -> tuple[Array, Vector]:
+    """Tangents of motion and impulse for a tangent of the problem's numbers."""
+    problem = eqx.combine(numbers, rest)
+    frozen, firm = _linear_law(problem, found)
+
+    def impulses(numbers: Problem, motion: Array) -> Vector:
+        own = eqx.combine(numbers, rest)
+        moved = own.contacts.relative_velocity(motion)
+        against = own.wanted(jnp.zeros_like(moved), moved, jnp.ones_like(firm))
+        wanted = frozen + firm[..., None] * (against - lax.stop_gradient(against))
+        return own.projected(wanted, own.bound(own.projected(wanted, None)))
+
+    def unbalanced(numbers: Problem) -> Array:
+        own = eqx.combine(numbers, rest)
+        given = impulses(numbers, found.motion)
+        return own.momentum(found.motion - own.free) - own.contacts.impulse_on_bodies(given)
+
+    _, excess = jax.jvp(unbalanced, (numbers,), (change,))
+    matrix = _matrix(problem, _slopes(problem, frozen, firm))
+    motion = -jnp.linalg.solve(matrix, excess.ravel()).reshape(excess.shape)
+    _, impulse = jax.jvp(impulses, (numbers, found.motion), (change, motion))
+    return motion, impulse
+
+
+def _linear_law(problem: Problem, found: Solution) -> tuple[Vector, Scalar]:
+    """What the law projects at the solution (k, s, 3), and the stiffness (k, s) of its changes.
+
+    Open, stick and slide are told apart with the solve's own compliance, against which its error is small. A point that
+    slides is then seen with the firm one, since the direction of its friction changes by μ λₙ / |v|.
+    """
+    c, dtype = problem.contacts, found.motion.dtype
+    soft, firm = (problem.stiffness(r) for r in (compliance(dtype), _firm_compliance(dtype)))
+    velocity = c.relative_velocity(found.motion)
+    wanted = problem.wanted(found.impulse, velocity, soft)
+    if c.friction is not None:
+        normal = c.normal[:, None]
+        along = dot(wanted, normal)
+        side = wanted - along[..., None] * normal
+        bound = c.friction[:, None] * jnp.maximum(along, 0.0)
+        slides = (dot(side, side) > bound * bound) & (along > 0)
+        firmly = problem.wanted(found.impulse, velocity, firm)
+        firmly = firmly - dot(firmly, normal)[..., None] * normal + along[..., None] * normal
+        wanted = jnp.where(slides[..., None], firmly, wanted)
+    return lax.stop_gradient((wanted, firm))
+
+
+def _firm_compliance(dtype: Any) -> float:
+    return 1e-8 if jnp.finfo(dtype).bits == 64 else 1e-4
+
+
+def _slopes(problem: Problem, frozen: Vector, firm: Scalar) -> Array:
+    """−∂λ/∂v (k, s, 3, 3) of the linear law."""
+    c = problem.contacts
+    normal = jnp.broadcast_to(c.normal[:, None], frozen.shape)
+    friction = None if c.friction is None else jnp.broadcast_to(c.friction[:, None], firm.shape)
+
+    def one(normal: Vector, frozen: Vector, firm: Scalar, friction: Scalar | None) -> Array:
+        def law(change: Vector) -> Vector:
+            wanted = frozen - firm * change
+            bound = None if friction is None else friction * jnp.maximum(dot(wanted, normal), 0.0)
+            return projected(wanted, normal, bound)
+
+        return -jax.jacfwd(law)(jnp.zeros_like(frozen))
+
+    return jax.vmap(jax.vmap(one))(normal, frozen, firm, friction)
+
+
+def _matrix(problem: Problem, slopes: Array) -> Array:
+    """M + Jᵀ G J (6n, 6n), G (k, s, 3, 3) not symmetric."""
+    n = len(problem.mass)
+    return jax.vmap(
+        lambda direction: (
+            problem.momentum(direction)
+            + problem.contacts.impulse_on_bodies(
+                jnp.einsum("ksij,ksj->ksi", slopes, problem.contacts.relative_velocity(direction))
+            )
+        ).ravel(),
+        out_axes=1,
+    )(jnp.eye(6 * n, dtype=slopes.dtype).reshape(6 * n, n, 6))

@@ -1,0 +1,256 @@
+"""The contact solve: a proximal Newton method on the motion of the bodies.
+
+A compliance R is laid in series with the hard law (R is a small share of what the point itself gives way), and the
+method of multipliers takes it out again: each round solves for the motion u with λ(u) = P(λ_k − (J u − b)/R), the disc
+of friction held at μ λ_k, which is the gradient of a convex function, by Newton's method; then λ_k ← λ(u). At the fixed
+point u and λ fulfil the hard law of Coulomb whatever R is, and a warm start that was right is left as it is. Newton's
+equations are solved by conjugate gradients preconditioned by each body's own 6×6 block.
+(Rockafellar 1976 for the multipliers; Castro, Permenter, Han 2022, "An unconstrained convex formulation of compliant
+contact", for Newton on the primal; Acary and Brogliato 2008, chapter 13, for friction with a lagged bound.)
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import lax
+
+from jaxrb.body.inertia import symmetric_apply
+from jaxrb.contact.law import curvature
+from jaxrb.contact.linear import LOWER, conjugate_gradients, factorised, solved
+from jaxrb.contact.problem import Problem
+from jaxrb.math.arrays import Array, Scalar, Vector, components, stack
+from jaxrb.math.vector import dot
+
+
+def compliance(dtype: Any) -> float:
+    """R over the effective inverse mass of a point.
+
+    A stack of ten, from a cold start to 1e-9: 1e-3 takes more than 2000 products, 1e-4 1240, 1e-5 860, 1e-6 1010.
+    """
+    return 1e-5 if jnp.finfo(dtype).bits == 64 else 1e-4
+
+
+def default_tolerance(dtype: Any) -> float:
+    """Of the answer, relative to the largest velocity that contact takes away: what a type reaches, with room."""
+    return 1e-8 if jnp.finfo(dtype).bits == 64 else 1e-4
+
+
+_ROUGH, _EXACT = 1e-2, 1e-6  # relative errors of Newton's direction
+
+
+# The most steps of Newton, and products of the matrix in each.
+_NEWTON_STEPS, _PRODUCTS = 60, 100
+_POOR = 1e-2
+_SOFT = 1e-2  # compliance where the start is far from the answer
+
+
+class Solution(eqx.Module):
+    """`motion` (n, 6), `impulse` (k, s, 3) [N s] in W, and how it went.
+
+    `residual` [m/s]: how far the impulses are from the law, as a velocity; `poor` whether that is above 1 % of what it
+    takes away;
+    `newton_steps` and `products` of the system's matrix taken.
+    """
+
+    motion: Array
+    impulse: Vector
+    residual: Scalar
+    poor: Array
+    newton_steps: Array
+    products: Array
+
+
+def solve_contacts(problem: Problem, start: Vector) -> Solution:
+    """The motion and impulses of one world, from impulses (k, s, 3) that may be near."""
+    c = problem.contacts
+    firm = compliance(problem.free.dtype)
+    unit = problem.stiffness(1.0)
+    taken = _speed_to_take(problem, problem.free)
+    # Where the free motion breaks no law there is nothing to solve, and no impulse.
+    start = jnp.where(c.active[..., None] & (taken > 0), start, 0.0)
+    motion = problem.moved_by(start)
+    velocity = c.relative_velocity(motion)
+    tolerance = problem.tolerance * taken
+    # Far from the answer a soft law finds sooner who presses whom: its equations are better conditioned.
+    far = _speed_to_take(problem, motion) > 0.1 * taken
+    softness = jnp.where(far, _SOFT, firm).astype(motion.dtype)
+
+    def going(carry: Any) -> Any:
+        return (carry[0] < _NEWTON_STEPS) & (carry[-2] > tolerance)
+
+    def step(carry: Any) -> Any:
+        count, motion, velocity, held, whole, softness, _, products = carry
+        stiffness = unit / softness
+        given = _Given(problem, stiffness, motion, velocity)
+        held, gap, wanted, impulse, residual, follows = given.with_multipliers(held, tolerance, count == 0)
+        bound = problem.bound(held)
+        bend = curvature(wanted, c.normal[:, None], bound, stiffness)
+        # While points still open and close, a rough direction is as good as any; then one exact solve ends it.
+        off = jnp.max(jnp.abs(problem.response(gap)[:, :3]), initial=0.0)
+        rough = jnp.where(whole, jnp.clip(0.1 * tolerance / off, _EXACT, _ROUGH), _ROUGH)
+        right = jnp.where(residual > tolerance, -gap, 0.0)
+        direction, used = _newton_direction(problem, bend, right, rough)
+        rate = c.relative_velocity(direction)
+        length = given.line_search(held, bound, impulse, gap, direction, rate)
+        motion, velocity = motion + length * direction, velocity + length * rate
+        # A round made with this compliance is done; the next may be firmer. (The law above must not change within it.)
+        softness = jnp.where(follows, jnp.maximum(firm, 0.1 * softness), softness)
+        return count + 1, motion, velocity, held, length >= 1, softness, residual, products + used
+
+    none = jnp.zeros((), jnp.int32)
+    unknown = jnp.where(taken > 0, jnp.inf, 0.0).astype(motion.dtype)
+    carry = (none, motion, velocity, start, jnp.ones((), bool), softness, unknown, none)
+    count, _, _, held, _, _, residual, products = lax.while_loop(going, step, carry)
+    # By the impulses themselves, so that momentum is kept to round-off whatever the tolerance.
+    return Solution(problem.moved_by(held), held, residual, residual > _POOR * taken, count, products)
+
+
+class _Given(NamedTuple):
+    """Where a Newton step starts."""
+
+    problem: Problem
+    stiffness: Scalar
+    motion: Array
+    velocity: Vector
+
+    def with_multipliers(
+        self, held: Vector, tolerance: Scalar, first: Array
+    ) -> tuple[Vector, Array, Vector, Vector, Scalar, Array]:
+        """The multipliers, which follow once the motion is right for those held; what the motion is then not explained
+        by, M (u − free) − Jᵀ λ (n, 6); the impulses before and after projection; the residual [m/s]; and whether
+        they followed.
+
+        At `first` the motion is that of the multipliers held, and these are the answer if they fulfil the law.
+        """
+        problem = self.problem
+
+        def look(round_: Any, carry: Any) -> Any:
+            held, _, wanted, impulse, residual, followed = carry
+            wanted = problem.wanted(held, self.velocity, self.stiffness)
+            impulse = problem.projected(wanted, problem.bound(held))
+            gap = problem.momentum(self.motion - problem.free) - problem.contacts.impulse_on_bodies(impulse)
+            change = _as_velocity(impulse - held, self.stiffness)
+            off = jnp.max(jnp.abs(problem.response(gap)[:, :3]), initial=0.0)
+            solved_before = first & (change <= tolerance)
+            follow = (round_ == 0) & (off <= jnp.maximum(tolerance, 0.1 * change)) & ~solved_before
+            reached = jnp.maximum(jnp.maximum(change, off), jnp.where(follow, 0.0, 2 * tolerance))
+            reached = jnp.where(solved_before, change, reached)
+            return (
+                jnp.where(follow, impulse, held), gap, wanted, impulse,
+                jnp.where(round_ == 0, reached, residual), followed | follow,
+            )  # fmt: skip
+
+        start = (held, self.motion, held, held, jnp.zeros_like(tolerance), jnp.zeros((), bool))
+        # A loop of two rounds, so that the law stands in the program once: compile time is waiting time.
+        return lax.fori_loop(0, 2, look, start)
+
+    def line_search(
+        self, held: Vector, bound: Any, impulse: Vector, gap: Array, direction: Array, rate: Vector
+    ) -> Scalar:
+        """Where the function's slope along the direction vanishes, in (0, 1]; the whole step unless it goes too far."""
+        problem = self.problem
+        slope0 = jnp.sum(direction * gap)
+        inertial = jnp.sum(direction * problem.momentum(direction))
+        zero = jnp.zeros((), rate.dtype)
+
+        def going(carry: Any) -> Any:
+            k, *_, value = carry
+            # The whole step comes first; a slope that still falls there ends the search.
+            return (k < 20) & (jnp.where(k == 1, value, jnp.abs(value)) > -0.1 * slope0)
+
+        def closer(carry: Any) -> Any:
+            k, low, at_low, high, at_high, _, _ = carry
+            # The secant, kept away from the ends so that each round takes a tenth of the interval at least.
+            share = jnp.clip(at_low / (at_low - at_high), 0.1, 0.9)
+            middle = jnp.where(k == 0, 1.0, low + share * (high - low))
+            wanted = problem.wanted(held, self.velocity + middle * rate, self.stiffness)
+            pushed = problem.projected(wanted, bound) - impulse
+            value = slope0 + middle * inertial - jnp.sum(rate * pushed)
+            left = (value < 0) & (k > 0)
+            right = ~left
+            return (
+                k + 1,
+                jnp.where(left, middle, low), jnp.where(left, value, at_low),
+                jnp.where(right, middle, high), jnp.where(right, value, at_high),
+                middle, value,
+            )  # fmt: skip
+
+        carry = (jnp.zeros((), jnp.int32), zero, slope0, 1 + zero, -slope0, 1 + zero, zero + jnp.inf)
+        return lax.while_loop(going, closer, carry)[-2]
+
+
+def _speed_to_take(problem: Problem, motion: Array) -> Scalar:
+    """The largest velocity [m/s] along a normal that the law takes from a motion (n, 6).
+
+    Not the speed of sliding: friction takes no more than about μ times this, however fast a body slides.
+    """
+    c = problem.contacts
+    missing = problem.bias - dot(c.relative_velocity(motion), c.normal[:, None])
+    return jnp.max(jnp.where(c.active, missing, 0.0), initial=0.0)
+
+
+def _as_velocity(impulse: Vector, stiffness: Scalar) -> Scalar:
+    """The largest of R |λ| [m/s]."""
+    squared = jnp.sum(impulse * impulse, axis=-1)
+    touching = stiffness > 0
+    return jnp.sqrt(
+        jnp.max(jnp.where(touching, squared / jnp.where(touching, stiffness, 1.0) ** 2, 0.0), initial=0.0)
+    )
+
+
+def _newton_direction(problem: Problem, bend: Array, right: Array, tolerance: Scalar) -> tuple[Array, Array]:
+    """(M + Jᵀ G J)⁻¹ right, with G as six numbers a point."""
+    c = problem.contacts
+
+    def apply(direction: Array) -> Array:
+        pull = symmetric_apply(bend, c.relative_velocity(direction))
+        return problem.momentum(direction) + c.impulse_on_bodies(pull)
+
+    factors = factorised(_diagonal_blocks(problem, bend))
+    if c.lever_back is None:
+        # Bodies that touch only what stands still do not know of each other.
+        return solved(factors, right), jnp.zeros((), jnp.int32)
+    return conjugate_gradients(
+        apply, lambda r: solved(factors, r), right, tolerance=tolerance, most=_PRODUCTS
+    )
+
+
+def _diagonal_blocks(problem: Problem, bend: Array) -> Array:
+    """The block of each body in M + Jᵀ G J (n, 21)."""
+    c = problem.contacts
+    lone = len(c.incidence.lone)
+    pushed = _blocks(bend, c.lever)
+    back = None if c.lever_back is None else _blocks(bend[lone:], c.lever_back)
+    xx, yy, zz, xy, xz, yz = components(problem.inertia)
+    m, zero = problem.mass, jnp.zeros_like(problem.mass)
+    own = stack(
+        m, zero, m, zero, zero, m,
+        zero, zero, zero, xx, zero, zero, zero, xy, yy, zero, zero, zero, xz, yz, zz,
+    )  # fmt: skip
+    return own + c.incidence.give(pushed, back)
+
+
+def _blocks(bend: Array, lever: Vector) -> Array:
+    """Sum over the slots of Jᵀ G J (k, 21), J = (1, −r*)."""
+    xx, yy, zz, xy, xz, yz = components(bend)
+    g = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+    r1, r2, r3 = components(lever)
+    # Rows of G times −r*, and r* times these: the columns of J for a turn about each axis are e × r.
+    turn = [[row[2] * r2 - row[1] * r3, row[0] * r3 - row[2] * r1, row[1] * r1 - row[0] * r2] for row in g]
+
+    def lifted(column: Any) -> list[Any]:
+        return [
+            r2 * column[2] - r3 * column[1],
+            r3 * column[0] - r1 * column[2],
+            r1 * column[1] - r2 * column[0],
+        ]
+
+    both = [lifted([turn[i][j] for i in range(3)]) for j in range(3)]  # both[j][i]
+    full: dict[tuple[int, int], Any] = {}
+    for i in range(3):
+        for j in range(i + 1):
+            full[i, j], full[3 + i, 3 + j] = g[i][j], both[j][i]
+        for j in range(3):
+            full[3 + i, j] = turn[j][i]
+    return stack(*(jnp.sum(full[entry], axis=-1) for entry in LOWER))

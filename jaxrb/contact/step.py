@@ -1,0 +1,196 @@
+"""The step with contact: what a method leaves of the bodies, corrected so that none overlap.
+
+Bodies that contact pushes move with their new velocity from where the step began (x + dt v, Stewart and Trinkle 1996):
+no overlap then arises along a straight path, momentum and angular momentum of bodies among themselves are kept to
+round-off, and rest is rest. All others keep what the method gave them.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jaxrb.body.inertia import symmetric_apply
+from jaxrb.body.state import State
+from jaxrb.contact.detection import Detected, Memory, detect, first_memory, remembered
+from jaxrb.contact.impact import Course, closing, first_course, impact_scale
+from jaxrb.contact.implicit import solve
+from jaxrb.contact.problem import Problem
+from jaxrb.contact.report import ContactReport, first_report, reported
+from jaxrb.contact.solver import Solution, default_tolerance
+from jaxrb.contact.surfaces import Kind, Meeting, Obstacle
+from jaxrb.effects.rigid_contact import RigidContact
+from jaxrb.geometry.bounds import bounding_box
+from jaxrb.math.arrays import Array, Scalar, Vector
+from jaxrb.math.safe import norm
+from jaxrb.math.vector import dot
+
+# Rounds of impacts in one step: a blow runs through a row of so many bodies. What is left then goes on in the next.
+_IMPACT_ROUNDS = 8
+_BLOW = 1e-3  # tolerance of a blow over that of rest
+
+
+class Carried(eqx.Module):
+    """What contact carries from step to step: the impulses, from which the next solve starts, and the report."""
+
+    memory: Memory
+    report: ContactReport
+
+
+class ContactStep(eqx.Module):
+    """What of a scene may touch, and how a step is corrected for it."""
+
+    rules: tuple[RigidContact, ...]
+    kinds: tuple[Kind, ...]
+    obstacles: tuple[Obstacle, ...]
+    meetings: tuple[Meeting, ...] = eqx.field(static=True)
+    count: int = eqx.field(static=True)
+
+    def first_memory(self, state: State) -> Carried:
+        """What is carried into the first step."""
+        looked = jax.eval_shape(lambda s: self._detected(s, jnp.zeros(self.count, s.dtype), None), state)
+        slots = looked.contacts.active.shape[1]
+        memory = first_memory(self.obstacles, self.meetings, slots, state.dtype)
+        return Carried(memory, first_report(state.dtype))
+
+    def resolved(
+        self, dynamics: Any, old: State, free: State, dt: Scalar, carried: Carried
+    ) -> tuple[State, Carried]:
+        """The state after the step in which contact has had its say."""
+        detected = self._detected(old, self._reach(old, free, dt), carried.memory)
+        problem, spin = self._problem(dynamics, old, free, detected, dt)
+        start = _motion(
+            problem,
+            old.velocity,
+            old.orientation.rotate(dynamics.inertia.inertia.apply(old.angular_velocity)),
+        )
+        if problem.contacts.restitution is None:
+            course = first_course(problem.free, problem.contacts)
+            course, found = self._round(problem, course, start, detected.start, dt, None)
+        else:
+            course, found = self._rounds(problem, start, detected.start, dt)
+        new = self._moved(dynamics, old, free, problem, course, found, spin, dt)
+        report = reported(carried.report, problem, start, course, found)
+        return new, Carried(remembered(detected, found.impulse), report.noting(detected.overflow))
+
+    def _detected(self, state: State, reach: Scalar, memory: Memory | None) -> Detected:
+        return detect(self.rules, self.kinds, self.obstacles, self.meetings, state, reach, memory)
+
+    def _problem(
+        self, dynamics: Any, old: State, free: State, detected: Detected, dt: Scalar
+    ) -> tuple[Problem, Vector]:
+        """The problem at the start of the step, and the angular momentum (n, 3) in W that the free step ends with."""
+        c = detected.contacts
+        spin = free.orientation.rotate(dynamics.inertia.inertia.apply(free.angular_velocity))
+        inertia = dynamics.inertia.inertia.rotated(old.orientation).six()
+        inverse = dynamics.inertia.inverted().rotated(old.orientation).six()
+        problem = Problem(
+            c,
+            self._bias(c.distance, dt),
+            dynamics.bodies.mass,
+            inertia,
+            dynamics.inverse_mass,
+            inverse,
+            inverse,
+            dt,
+        )
+        return eqx.tree_at(lambda p: p.free, problem, _motion(problem, free.velocity, spin)), spin
+
+    def _bias(self, gap: Scalar, dt: Scalar) -> Scalar:
+        """The least normal velocity that leaves no overlap at the end of the step."""
+        # One slope on both sides of touch: with two, the corners of a face would ask for more than a plane can give.
+        speed = jnp.min(jnp.stack([jnp.asarray(rule.recovery_speed) for rule in self.rules]))
+        return jnp.minimum(-gap / dt, speed)
+
+    def _tolerance(self, dtype: Any, last: Any) -> Scalar:
+        """Of a solve. What a blow misses is energy for good; a resting force is put right in the next step."""
+        resting = min(
+            (r.tolerance for r in self.rules if r.tolerance is not None), default=default_tolerance(dtype)
+        )
+        blow = max(_BLOW * resting, 4 * float(jnp.finfo(dtype).eps))
+        return jnp.asarray(resting if last is None else jnp.where(last, resting, blow), dtype)
+
+    def _round(
+        self, problem: Problem, course: Course, start: Array, warm: Vector, dt: Scalar, last: Array | None
+    ) -> tuple[Course, Solution]:
+        """One solve: of impacts, or at `last` (None: there is no other) of all that rests on each other."""
+        c = problem.contacts
+        left = c.distance + dot(c.relative_velocity(course.shift - dt * course.jump), c.normal[:, None])
+        bias, active, weight = self._bias(left, dt), c.active, jnp.full_like(left, dt)
+        if last is not None:
+            hit, target, remaining = closing(problem, course, start, dt)
+            # Who still comes in fast after the last round of impacts is left to the next step.
+            bias = jnp.where(last, bias, target)
+            active = jnp.where(last, active & ~hit, hit)
+            weight = jnp.where(last, weight, remaining)
+            warm = jnp.where(last, warm, 0.0)
+        contacts = eqx.tree_at(lambda k: k.active, c, active)
+        tolerance = self._tolerance(bias.dtype, last)
+        own = eqx.tree_at(
+            lambda p: (p.contacts, p.bias, p.free, p.tolerance),
+            problem,
+            (contacts, bias, problem.free + course.jump, tolerance),
+        )
+        found = solve(own, lax.stop_gradient(warm))
+        if last is not None:
+            scale = jnp.where(last, 1.0, impact_scale(own, found, weight, start, problem.free, dt))
+            impulse = scale * found.impulse
+            found = eqx.tree_at(lambda f: f.impulse, found, impulse)
+        return course.after(own, found, weight, last), found
+
+    def _rounds(self, problem: Problem, start: Array, warm: Vector, dt: Scalar) -> tuple[Course, Solution]:
+        def one(course: Course, last: Array) -> tuple[Course, Solution]:
+            return self._round(problem, course, start, warm, dt, last)
+
+        rounds = jnp.arange(_IMPACT_ROUNDS + 1) == _IMPACT_ROUNDS
+        course, found = lax.scan(one, first_course(problem.free, problem.contacts), rounds)
+        end = jax.tree.map(lambda leaf: leaf[-1], found)
+        counts = (jnp.sum(n, dtype=jnp.int32) for n in (found.newton_steps, found.products))
+        worst = (jnp.max(found.residual), jnp.any(found.poor), *counts)
+        return course, eqx.tree_at(lambda f: (f.residual, f.poor, f.newton_steps, f.products), end, worst)
+
+    def _reach(self, old: State, free: State, dt: Scalar) -> Scalar:
+        """How far (n,) [m] any point of each body can move in the step."""
+        speed = jnp.maximum(norm(old.velocity), norm(free.velocity))
+        turning = jnp.maximum(norm(old.angular_velocity), norm(free.angular_velocity))
+        radii = jnp.zeros(self.count, old.dtype)
+        for kind in self.kinds:
+            box = jax.vmap(bounding_box)(kind.shape)
+            far = jnp.maximum(jnp.abs(box.low - kind.center), jnp.abs(box.high - kind.center))
+            radii = radii.at[np.asarray(kind.members)].set(norm(far))
+        return lax.stop_gradient(dt * (speed + turning * radii))
+
+    def _moved(
+        self,
+        dynamics: Any,
+        old: State,
+        free: State,
+        problem: Problem,
+        course: Course,
+        found: Solution,
+        spin: Vector,
+        dt: Scalar,
+    ) -> State:
+        impulse = problem.contacts.impulse_on_bodies(course.impulse)
+        touched = jnp.any(impulse != 0, axis=-1)[:, None]
+        rests = jnp.any(problem.contacts.impulse_on_bodies(found.impulse) != 0, axis=-1)[:, None]
+        velocity = free.velocity + course.jump[:, :3]
+        straight = old.position + dt * velocity + (course.shift - dt * course.jump)[:, :3]
+        turn = free.orientation.unrotate(course.shift[:, 3:])
+        orientation = free.orientation @ type(free.orientation).exp(turn)
+        omega = dynamics.inertia.response(orientation.unrotate(spin + impulse[:, 3:]))
+        return State(
+            jnp.where(rests, straight, free.position + course.shift[:, :3]),
+            orientation,
+            velocity,
+            jnp.where(touched, omega, free.angular_velocity),
+            free.time,
+        )
+
+
+def _motion(problem: Problem, velocity: Vector, spin: Vector) -> Array:
+    """(v, ω) in W (n, 6) of velocities and angular momenta in W."""
+    return jnp.concatenate([velocity, symmetric_apply(problem.inverse_inertia, spin)], axis=1)

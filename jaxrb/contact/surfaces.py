@@ -1,0 +1,168 @@
+"""What of a scene may touch, known when a program is traced: shapes by kind, and which pairs of kinds there are."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrb.body.body import Body, count_of
+from jaxrb.effects.effect import Effect
+from jaxrb.effects.fixed_point import FixedPoint
+from jaxrb.effects.rigid_contact import RigidContact
+from jaxrb.errors import WrongStructure
+from jaxrb.geometry.mesh import TriangleMesh
+from jaxrb.geometry.primitives import HalfSpace, Pose
+from jaxrb.geometry.shape import Shape
+from jaxrb.math.arrays import Array, Vector
+
+# Pairs a body, half of its neighbours: of spheres none has more than 12, boxes in a pile have 4 to 6.
+_NEAR, _TOUCHING = 6, 3
+
+
+class Kind(eqx.Module):
+    """Bodies whose shapes are of one kind: leaves of `shape` and `center` (m, 3) [m] run over the `members`.
+
+    The shape's own frame has its origin at −`center` in the body's.
+    """
+
+    members: tuple[int, ...] = eqx.field(static=True)
+    shape: Shape
+    center: Vector
+
+    def rows(self, bodies: np.ndarray) -> np.ndarray:
+        """Places of body numbers among the members."""
+        return np.searchsorted(np.asarray(self.members), bodies)
+
+
+class Obstacle(eqx.Module):
+    """Bodies of one kind against one shape that stands still."""
+
+    rule: int = eqx.field(static=True)
+    kind: int = eqx.field(static=True)
+    members: tuple[int, ...] = eqx.field(static=True)
+    shape: Shape
+    pose: Pose | None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Meeting:
+    """Bodies of one kind against bodies of another, or of the same: all pairs (first, second) that may ever touch.
+
+    `capacity`: how many of them may be near each other at a time, and `touching` of these touch; all of them where that
+    is fewer.
+    """
+
+    rule: int
+    kinds: tuple[int, int]
+    first: np.ndarray
+    second: np.ndarray
+    capacity: int
+    touching: int
+
+    @property
+    def crowded(self) -> bool:
+        """Whether the pairs are chosen at run time."""
+        return len(self.first) > self.capacity
+
+
+def contact_of(bodies: tuple[Body, ...], effects: tuple[Effect, ...]) -> Any:
+    """What resolves a scene's contacts, or None where no effect asks for any."""
+    rules = tuple(effect for effect in effects if isinstance(effect, RigidContact))
+    if not rules:
+        return None
+    from jaxrb.contact.step import ContactStep  # only scenes with contact load the collision floor
+
+    if any(isinstance(effect, FixedPoint) for effect in effects):
+        raise WrongStructure(
+            "Scene.effects: FixedPoint with RigidContact is not supported; hold the body by a stiff SpringDamper"
+        )
+    count = sum(count_of(body) or 1 for body in bodies)
+    kinds = _kinds(bodies, {i for rule in rules for i in rule.chosen(count)})
+    obstacles, meetings = [], []
+    for number, rule in enumerate(rules):
+        chosen = set(rule.chosen(count))
+        own = [(k, tuple(m for m in kind.members if m in chosen)) for k, kind in enumerate(kinds)]
+        own = [(k, members) for k, members in own if members]
+        if rule.against is None:
+            meetings += _meetings(number, rule, own, count)
+        for shape, pose in rule.against or ():
+            obstacles += [Obstacle(number, k, members, shape, pose) for k, members in own]
+    if not obstacles and not meetings:
+        return None
+    return ContactStep(rules, tuple(kinds), tuple(obstacles), tuple(meetings), count)
+
+
+def _kinds(bodies: tuple[Body, ...], wanted: set[int]) -> list[Kind]:
+    """The shapes of the wanted bodies, sorted into kinds."""
+    found: dict[Any, list[tuple[range, Shape, Any]]] = {}
+    start = 0
+    for body in bodies:
+        count = count_of(body)
+        numbers = range(start, start + (count or 1))
+        start = numbers.stop
+        if not wanted & set(numbers):
+            continue
+        _check_shape(body, numbers.start)
+        shape, center = body.shape, body.center_of_mass
+        if count is None:
+            shape, center = jax.tree.map(lambda x: jnp.asarray(x)[None], (shape, center))
+        center = jnp.broadcast_to(jnp.asarray(center), (len(numbers), 3))
+        leaves, structure = jax.tree.flatten(shape)
+        key = (structure, tuple(np.shape(leaf)[1:] for leaf in leaves))
+        found.setdefault(key, []).append((numbers, shape, center))
+    kinds = []
+    for parts in found.values():
+        shape, center = jax.tree.map(lambda *x: jnp.concatenate(x), *[part[1:] for part in parts])
+        members = tuple(i for part in parts for i in part[0])
+        kinds.append(Kind(members, shape, center))
+    return kinds
+
+
+def _check_shape(body: Body, number: int) -> None:
+    name = f"body {number} ({body.name!r})"
+    if not isinstance(body.shape, Shape):
+        raise WrongStructure(
+            f"RigidContact: {name} has no shape; make it by Body.from_shape, give shape=…, or leave it out by bodies=…"
+        )
+    if isinstance(body.shape, TriangleMesh):
+        raise WrongStructure(
+            f"RigidContact: the mesh of {name} is not convex; use Body.from_mesh(…, convex_hull=True), or a Composite "
+            "from rb.convex_decomposition"
+        )
+    if isinstance(body.shape, HalfSpace):
+        raise WrongStructure(f"RigidContact: {name} is a half-space; give it as against=…")
+
+
+def _meetings(
+    number: int, rule: RigidContact, own: list[tuple[int, tuple[int, ...]]], count: int
+) -> list[Meeting]:
+    """The pairs of kinds that a rule lets touch."""
+    together = []
+    for at, (k, members) in enumerate(own):
+        for other, others in own[at:]:
+            pairs = [
+                (i, j) for i in members for j in others if (i < j or k != other) and rule.may_touch(i, j)
+            ]
+            if pairs:
+                together.append((k, other, np.asarray(pairs, np.int32).reshape(-1, 2)))
+    total = sum(len(pairs) for *_, pairs in together)
+    near = min(total, rule.capacity or _NEAR * count)
+    touching = min(total, rule.capacity or _TOUCHING * count)
+    return [
+        Meeting(
+            number, (k, other), pairs[:, 0], pairs[:, 1], min(len(pairs), near), min(len(pairs), touching)
+        )
+        for k, other, pairs in together
+    ]
+
+
+def placed(
+    kind: Kind, rows: Array | np.ndarray, state: Any, bodies: Array | np.ndarray
+) -> tuple[Shape, Pose]:
+    """Shapes and poses of bodies of one kind; arrays run over the bodies."""
+    shape, center = jax.tree.map(lambda leaf: leaf[rows], (kind.shape, kind.center))
+    orientation = jax.tree.map(lambda leaf: leaf[bodies], state.orientation)
+    return shape, Pose(state.position[bodies] - orientation.rotate(center), orientation)

@@ -1,0 +1,111 @@
+"""Rigid contact: bodies do not overlap, and rub where they touch."""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from jaxrb.checks import quantity
+from jaxrb.effects.effect import Effect, check_indices, check_shapes
+from jaxrb.errors import WrongStructure
+from jaxrb.geometry.mesh import TriangleMesh
+from jaxrb.geometry.primitives import Pose
+from jaxrb.geometry.shape import Shape
+
+COMBINE = ("mean", "geometric", "smaller", "larger", "product")
+
+
+class RigidContact(Effect):
+    """Contact of the bodies' shapes with what stands still (`against`), or with each other (`against=None`).
+
+    Laws: no overlap; Coulomb's friction with its round cone; Newton's restitution at impacts. What is None is not in
+    the program: without `friction` contact is frictionless, without `restitution` impacts are perfectly plastic. Steps
+    with contact are of order 1; a body that touches nothing keeps the order of the method. (Moreau 1988 for the
+    velocity law; Stewart and Trinkle 1996 for the step; `contact/solver.py` for the solve.)
+
+    * `against`: a `Shape`, a pair (shape, `Pose`), or several of these, at rest in the world. A `HalfSpace` is a floor.
+    * `friction` [1], `restitution` [1], in [0, 1]: for all, or one a body (n,). Of two bodies the coefficients are put
+      together by `combine`: "mean", "geometric", "smaller", "larger" or "product"; against what stands still the
+      body's own holds.
+    * `rolling_resistance`, `spinning_resistance` [m]: the torque that resists rolling (pivoting about the normal) over
+      the normal force; as friction for all or one a body.
+    * `bodies`: those that take part, None all. `groups`, `masks`: a whole number a body read as bits; two bodies can
+      touch where each one's mask holds a bit of the other's group. Pairs that cannot are not in the program.
+    * `capacity`: most pairs of bodies near each other, by default six a body; a run in which there are more fails.
+    * `recovery_speed` [m/s]: overlap (from the start, or by the curvature of a path) is pushed apart at most so fast.
+    * `tolerance` [1]: of the solve, relative to the largest velocity that contact takes away; by default 1e-8 in
+      float64 and 1e-4 in float32.
+
+    Shapes come from `Body.shape`; every body that takes part must have one that is convex, or a `Composite` of such.
+    """
+
+    against: Any = None
+    friction: Any = quantity((), nonnegative=True, default=None)
+    restitution: Any = quantity((), nonnegative=True, at_most=1.0, default=None)
+    rolling_resistance: Any = quantity((), nonnegative=True, unit="m", default=None)
+    spinning_resistance: Any = quantity((), nonnegative=True, unit="m", default=None)
+    recovery_speed: Any = quantity((), positive=True, unit="m/s", default=0.05)
+    bodies: tuple[int, ...] | None = eqx.field(static=True, default=None, kw_only=True)
+    groups: tuple[int, ...] | None = eqx.field(static=True, default=None, kw_only=True)
+    masks: tuple[int, ...] | None = eqx.field(static=True, default=None, kw_only=True)
+    combine: str = eqx.field(static=True, default="geometric", kw_only=True)
+    capacity: int | None = eqx.field(static=True, default=None, kw_only=True)
+    tolerance: float | None = eqx.field(static=True, default=None, kw_only=True)
+
+    def __post_init__(self):
+        super().__post_init__()
+        self.against = _obstacles(self.against)
+        if self.combine not in COMBINE:
+            raise WrongStructure(f"RigidContact.combine: {self.combine!r}; give one of {', '.join(COMBINE)}")
+        if self.capacity is not None and self.capacity < 1:
+            raise WrongStructure(f"RigidContact.capacity: {self.capacity}, but must be at least 1")
+        if self.tolerance is not None and not 0 < self.tolerance < 1:
+            raise WrongStructure(f"RigidContact.tolerance: {self.tolerance}, but must lie between 0 and 1")
+
+    def check(self, count: int) -> None:
+        check_shapes(self, count, "all bodies", "one value a body")
+        if self.bodies is not None:
+            check_indices("RigidContact", "bodies", self.bodies, count)
+        for name in ("groups", "masks"):
+            bits = getattr(self, name)
+            if bits is not None and (
+                len(bits) != count or not all(isinstance(b, (int, np.integer)) for b in bits)
+            ):
+                raise WrongStructure(
+                    f"RigidContact.{name}: {bits!r}; give one whole number for each of the {count} bodies"
+                )
+
+    def chosen(self, count: int) -> tuple[int, ...]:
+        """Numbers of the bodies that take part."""
+        return tuple(range(count)) if self.bodies is None else tuple(sorted(self.bodies))
+
+    def may_touch(self, first: int, second: int) -> bool:
+        """Whether the groups and masks let two bodies touch."""
+        groups = self.groups
+        masks = self.masks
+        own = [
+            (-1 if groups is None else groups[i], -1 if masks is None else masks[i]) for i in (first, second)
+        ]
+        return bool(own[0][0] & own[1][1]) and bool(own[1][0] & own[0][1])
+
+
+def _obstacles(against: Any) -> tuple[tuple[Shape, Pose | None], ...] | None:
+    """What stands still, as pairs of a shape and its pose; None where the bodies meet each other."""
+    if against is None:
+        return None
+    if isinstance(against, Shape):
+        against = ((against, None),)
+    elif isinstance(against, tuple) and len(against) == 2 and isinstance(against[1], Pose):
+        against = (against,)
+    pairs = tuple(item if isinstance(item, (tuple, list)) else (item, None) for item in against)
+    for item in pairs:
+        if len(item) != 2 or not isinstance(item[0], Shape) or not isinstance(item[1], (Pose, type(None))):
+            raise WrongStructure(
+                f"RigidContact.against: {item!r}; give a Shape, a pair (Shape, Pose), or a tuple of these"
+            )
+        if isinstance(item[0], TriangleMesh):
+            raise WrongStructure(
+                "RigidContact.against: a TriangleMesh is not convex; give its convex_hull(), or a Composite from "
+                "rb.convex_decomposition"
+            )
+    return tuple((shape, pose) for shape, pose in pairs)
