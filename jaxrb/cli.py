@@ -1,4 +1,4 @@
-"""The command line: `jaxrb demo | work-precision | plan | cost | scoreboard | fit | bench | hard-cases`."""
+"""The command line: `jaxrb demo | simulate | work-precision | plan | cost | scoreboard | fit | bench | hard-cases`."""
 
 import importlib
 import json as json_text
@@ -74,6 +74,12 @@ def bench(
         )
 
 
+def _simulate_command() -> Any:
+    from jaxrb.simulate import simulate
+
+    return simulate
+
+
 def _fit_command() -> Any:
     from jaxrb.fit.command import fit
 
@@ -94,6 +100,7 @@ def _command(name: str) -> Any:
 
 COMMANDS = {
     "demo": lambda: demo,
+    "simulate": _simulate_command,
     "work-precision": lambda: _command("work_precision"),
     "plan": lambda: _command("plan"),
     "cost": lambda: _command("cost"),
@@ -110,7 +117,7 @@ def main(arguments: list[str] | None = None) -> None:
 
     arguments = sys.argv[1:] if arguments is None else arguments
     x64 = "--float32" not in arguments
-    arguments = [argument for argument in arguments if argument != "--float32"]
+    arguments = [argument for argument in arguments if argument not in ("--float32", "--x64")]
     # Importing every command for the sake of its help text would make each wait for all.
     chosen = {arguments[0]} & set(COMMANDS) if arguments else set()
     functions = {name: load() for name, load in COMMANDS.items() if not chosen or name in chosen}
@@ -120,7 +127,7 @@ def main(arguments: list[str] | None = None) -> None:
                 functions,
                 prog="jaxrb",
                 description="Differentiable rigid-body dynamics that is honest about its accuracy. Commands run in "
-                "float64; add --float32 for float32.",
+                "float64 (--x64); add --float32 for float32.",
                 args=arguments,
                 config=(tyro.conf.PositionalRequiredArgs,),
             )

@@ -205,24 +205,33 @@ def cost(
     print("\n\n".join(part.summary() for part in (found, advice) if part is not None))
 
 
-def scoreboard(*, row: str = "all", json: bool = False) -> None:
+def scoreboard(*, row: str = "all", quick: bool = False, long: bool = False, json: bool = False) -> None:
     """External tests re-run: jaxrb beside the figures that others published, also where it loses.
 
-    A: NASA's tumbling brick. B, B-simple: Gazebo's boxes. E: the rigid-body problem of the ODE literature. MuJoCo runs
-    beside in this process where it is installed (extra [bench]). Times are those of one run of the whole test.
+    A: NASA's tumbling brick. B, B-simple: Gazebo's boxes. C-bouncing, C-rolling, C-666, C-666-elastic: SimBenchmark's
+    contacts, with goals. E: the rigid-body problem of the ODE literature. MuJoCo runs beside in this process where it
+    is installed (extra [bench]). Times are those of one run of the whole test.
 
     Example: jaxrb scoreboard --row A
+    Example: jaxrb scoreboard --row C --quick
 
     Args:
-        row: only this one: A, B, B-simple or E.
+        row: only this one: A, B, B-simple, C (all four of them), C-bouncing, C-rolling, C-666, C-666-elastic or E.
+        quick: rows C only for short times and one seed.
+        long: rows C at dt 1e-4 too (half an hour or more).
         json: print one JSON object instead of tables.
     """
     from jaxrb.bench import scoreboard as board
     from jaxrb.bench.workloads import machine
+    from jaxrb.errors import InvalidInput
+
+    if quick and long:
+        raise InvalidInput("scoreboard: --quick and --long exclude each other")
 
     chosen = board.rows_of(None if row == "all" else row)
     bar = _bar("entries")
-    found = {chosen_row.name: list(bar(chosen_row.run())) for chosen_row in chosen}
+    length = "long" if long else "quick" if quick else "default"
+    found = {chosen_row.name: list(bar(chosen_row.entries(length))) for chosen_row in chosen}
     if json:
         print(json_text.dumps({"machine": machine(), "rows": found}))
         return

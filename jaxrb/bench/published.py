@@ -1,6 +1,7 @@
 """Figures that others published, with their source beside each. Carried over as data; nothing here is computed."""
 
 import dataclasses
+from typing import Any
 
 _NESC = "NASA/TM-2015-218675, check case 2; data in simupy-flight's NESC_data"
 _GAZEBO = "scpeters/benchmark, BENCHMARK_boxes_dt.csv, complex, 1 box"
@@ -16,6 +17,11 @@ class Published:
     setting: str
     figures: dict[str, float]
     source: str
+
+    def entry(self) -> dict[str, Any]:
+        """As a line of a row of the scoreboard."""
+        plain = {"who": self.who, "setting": self.setting, **self.figures}
+        return plain | {"published": True, "source": self.source}
 
 
 def _rate(who: str, setting: str, error: float, energy: float, source: str) -> Published:
@@ -64,6 +70,64 @@ GAZEBO_BOXES = tuple(
         ("DART", "1e-3", 0.049, 2.186, 3.76e-2, _GAZEBO),
         ("MuJoCo RK4", "1e-3", 4.0e-11, 2.7e-11, 1.7e-11, _OURS),
     )
+)
+
+# J. Hwangbo, J. Lee; metrics in its benchmark/include. What an engine cannot be told to do it has no figure for.
+_SIMBENCHMARK = "SimBenchmark, leggedrobotics 2018"
+
+
+def _by_step(
+    name: str, steps: tuple[str, ...], results: dict[str, tuple[float, ...]]
+) -> tuple[Published, ...]:
+    return tuple(
+        Published(who, f"dt {dt}", {name: figure}, _SIMBENCHMARK)
+        for i, dt in enumerate(steps)
+        for who, figure in ((who, figures[i]) for who, figures in results.items())
+    )
+
+
+BOUNCING = _by_step(
+    "energy_j2",
+    ("1e-3", "1e-4", "1e-5"),
+    {
+        "RaiSim": (1.86e-2, 1.86e-6, 1.86e-10),
+        "ODE": (185.0, 1.85, 1.85e-2),
+        "DART": (7.23e4, 483.0, 7.39),
+        "Bullet": (7.52e4, 752.0, 7.52),
+    },
+)
+ROLLING = tuple(
+    Published(who, f"{direction}, dt 1e-3", {"both": figures[i]}, _SIMBENCHMARK)
+    for i, direction in enumerate(("y", "oblique"))
+    for who, figures in {
+        "RaiSim": (4.13e-7, 4.14e-7),
+        "Bullet": (4.9e-9, 5.7e-9),
+        "ODE": (7.7e-9, 3.145),
+        "DART": (0.426, 3.145),
+        "MuJoCo Newton Euler": (9.2e-3, 6.9e-3),
+        "MuJoCo Newton RK4": (3.2e-3, 2.7e-3),
+    }.items()
+)
+INELASTIC_666 = _by_step(
+    "overlap_m2",
+    ("1e-3", "1e-2"),
+    {
+        "RaiSim": (1.35e-4, 0.0153),
+        "ODE": (1.55e-4, 0.0161),
+        "DART": (2.8e-4, 215.0),
+        "MuJoCo Newton": (0.0950, 0.934),
+        "Bullet": (0.382, 37.4),
+    },
+)
+ELASTIC_666 = _by_step(
+    "energy_j2",
+    ("1e-4", "1e-3", "1e-2"),
+    {
+        "RaiSim": (0.0011, 8.37, 5.2e6),
+        "ODE": (1.10, 112.0, 8.6e6),
+        "Bullet": (168.0, 4.1e4, 9.9e6),
+        "DART": (2438.0, 3.5e5, 1.3e10),
+    },
 )
 
 # The end values that any correct program must reach: deg/s and wxyz at 30 s; rad/s and wxyz at 10 s; at t = 10.

@@ -11,8 +11,8 @@ import numpy as np
 
 from jaxrb.accuracy.reference import closed_form, end_state, reference
 from jaxrb.accuracy.timing import compiled
-from jaxrb.bench import peers
-from jaxrb.bench.published import GAZEBO_BOXES, TUMBLING_BRICK, Published
+from jaxrb.bench import peers, simbenchmark
+from jaxrb.bench.published import GAZEBO_BOXES, TUMBLING_BRICK
 from jaxrb.bench.rigid_body_problem import rigid_body_problem
 from jaxrb.bench.timing import both_clocks
 from jaxrb.body.state import State
@@ -31,12 +31,20 @@ Judge = Callable[[Any, Any, Any, Any, Any], dict[str, float]]
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One external test: its name, what it is, the columns of its figures, and a way to run it."""
+    """One external test: its name, what it is, the columns of its figures, and a way to run it.
+
+    `sized`: it takes a length ("quick", "default" or "long"); the others have but one.
+    """
 
     name: str
     about: str
     columns: dict[str, str]
-    run: Callable[[], Iterator[Entry]]
+    run: Callable[..., Iterator[Entry]]
+    sized: bool = False
+
+    def entries(self, length: str = "default") -> Iterator[Entry]:
+        """Run it."""
+        return self.run(length) if self.sized else self.run()
 
 
 def tumbling_brick_row() -> Iterator[Entry]:
@@ -54,7 +62,7 @@ def tumbling_brick_row() -> Iterator[Entry]:
             "energy": float(np.abs(turning / turning[0] - 1.0).max()),
         }
 
-    yield from (_published(p) for p in TUMBLING_BRICK)
+    yield from (p.entry() for p in TUMBLING_BRICK)
     yield from _mujoco(example, judge, (0.01,), gravity=0.0)
     yield from _closed_form(example, judge)
     yield from _jaxrb(example, judge, (0.01,), tuple(METHODS))
@@ -64,7 +72,7 @@ def tumbling_brick_row() -> Iterator[Entry]:
 def gazebo_boxes_row() -> Iterator[Entry]:
     """Largest error over 10 s of position [m], and of angular momentum about the centre and energy (both relative)."""
     example = gazebo_boxes()
-    yield from (_published(p) for p in GAZEBO_BOXES)
+    yield from (p.entry() for p in GAZEBO_BOXES)
     judge = _box_judge(example, 9.8)
     yield from _mujoco(example, judge, (1e-4, 1e-3), gravity=-9.8, integrators=("RK4",))
     yield from _closed_form(example, judge)
@@ -93,13 +101,41 @@ ROWS: dict[str, Row] = {
         Row("A", "NESC check case 2, tumbling brick, 30 s", _RATE, tumbling_brick_row),
         Row("B", "Gazebo boxes, complex, one box, 10 s", _BOX, gazebo_boxes_row),
         Row("B-simple", "Gazebo boxes, simple, one box, 10 s", _BOX, gazebo_boxes_simple_row),
+        Row(
+            "C-bouncing",
+            "SimBenchmark bouncing, 49 balls",
+            simbenchmark.BOUNCING_COLUMNS,
+            simbenchmark.bouncing_row,
+            True,
+        ),
+        Row(
+            "C-rolling",
+            "SimBenchmark rolling, a slab and 25 balls",
+            simbenchmark.ROLLING_COLUMNS,
+            simbenchmark.rolling_row,
+            True,
+        ),
+        Row(
+            "C-666",
+            "SimBenchmark 666, 216 balls that do not bounce",
+            simbenchmark.INELASTIC_COLUMNS,
+            simbenchmark.inelastic_row,
+            True,
+        ),
+        Row(
+            "C-666-elastic",
+            "SimBenchmark 666, 216 balls that bounce without loss",
+            simbenchmark.ELASTIC_COLUMNS,
+            simbenchmark.elastic_row,
+            True,
+        ),
         Row("E", "rigid-body problem of the ODE literature, t 0…10", _END, rigid_body_problem),
     )
 }
 
 
 def rows_of(name: str | None) -> list[Row]:
-    """All rows, or the one of that name.
+    """All rows, or the one of that name, or those whose names begin with it and a dash.
 
     Raises:
         UnknownName: there is no such row.
@@ -108,18 +144,10 @@ def rows_of(name: str | None) -> list[Row]:
         return list(ROWS.values())
     found = [row for key, row in ROWS.items() if key.lower() == name.lower()]
     if not found:
+        found = [row for key, row in ROWS.items() if key.lower().startswith(name.lower() + "-")]
+    if not found:
         raise UnknownName(f"scoreboard row {name!r} is not known; there are {', '.join(ROWS)}")
     return found
-
-
-def _published(result: Published) -> Entry:
-    return {
-        "who": result.who,
-        "setting": result.setting,
-        **result.figures,
-        "published": True,
-        "source": result.source,
-    }
 
 
 def _exact(example: Example, times: np.ndarray) -> Any:

@@ -4,11 +4,13 @@ All points of a block join the same two things, so a body's velocity is looked u
 are summed before they are handed to the body: gathering and scattering are what costs time here, not arithmetic.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrb.math.arrays import Array, Scalar, Vector, components, stack
+from jaxrb.math.arrays import Array, Scalar, Vector, components, entries, stack
 from jaxrb.math.vector import cross
 
 
@@ -83,6 +85,11 @@ class Contacts(eqx.Module):
     restitution: Scalar | None
     feature: Array
 
+    @property
+    def lone(self) -> int:
+        """Number of blocks of bodies against what stands still; they come first."""
+        return len(self.incidence.lone)
+
     def relative_velocity(self, motion: Array) -> Vector:
         """Velocity (k, s, 3) [m/s] of the pushed body against the other at each point, of (v, ω) (n, 6) in W."""
         pushed, back = self.incidence.take(motion)
@@ -90,25 +97,54 @@ class Contacts(eqx.Module):
         if back is None or self.lever_back is None:
             return velocity
         other = _point_velocity(back, self.lever_back)
-        lone = len(self.incidence.lone)
-        return velocity.at[lone:].add(-other) if lone else velocity - other
+        return velocity.at[self.lone :].add(-other) if self.lone else velocity - other
 
     def impulse_on_bodies(self, impulse: Vector) -> Array:
         """Sum (n, 6) of impulse [N s] and angular impulse [N m s] on each body, of impulses (k, s, 3) in W."""
-        lone = len(self.incidence.lone)
         pushed = _summed_wrench(impulse, self.lever)
-        back = None if self.lever_back is None else -_summed_wrench(impulse[lone:], self.lever_back)
+        back = None if self.lever_back is None else -_summed_wrench(impulse[self.lone :], self.lever_back)
         return self.incidence.give(pushed, back)
+
+    def blocks(self, bend: Array) -> Array:
+        """Each body's own part (n, 6, 6) of Jᵀ G J, with G (k, s, 3, 3)."""
+        pushed = _block(self.lever, bend)
+        back = None if self.lever_back is None else _block(self.lever_back, bend[self.lone :])
+        return self.incidence.give(pushed, back)[:, _WHOLE]
 
 
 def _point_velocity(motion: Array, lever: Vector) -> Vector:
-    parts = [part[:, None] for part in components(motion)]
+    v1, v2, v3, w1, w2, w3 = (part[:, None] for part in components(motion))
     r1, r2, r3 = components(lever)
-    v1, v2, v3, w1, w2, w3 = parts
     return stack(v1 + (w2 * r3 - w3 * r2), v2 + (w3 * r1 - w1 * r3), v3 + (w1 * r2 - w2 * r1))
 
 
 def _summed_wrench(impulse: Vector, lever: Vector) -> Array:
     turning = cross(lever, impulse)
-    parts = [*components(impulse), *components(turning)]
-    return stack(*(jnp.sum(part, axis=-1) for part in parts))
+    return jnp.sum(stack(*components(impulse), *components(turning)), axis=-2)
+
+
+def _block(lever: Vector, bend: Array) -> Array:
+    """Σ Jᵀ G J (k, 21) over the slots, J = (1, −r*), G symmetric: its lower triangle, row by row.
+
+    By components 0.3 µs a body in a crowd; as products of small arrays 0.6 to 1.6, but half a second less to compile.
+    """
+    g = entries(bend)
+    r = components(lever)
+    # Columns of −r* are e × r; forces G (e × r) and their moments.
+    turned = [_cross(row, r) for row in g]  # turned[i][j]: force i for a turn about j, up to the sign
+    full: dict[tuple[int, int], Any] = {}
+    moments = [_cross(r, [turned[i][j] for i in range(3)]) for j in range(3)]
+    for i in range(3):
+        for j in range(i + 1):
+            full[i, j], full[3 + i, 3 + j] = g[i][j], -moments[j][i]
+        for j in range(3):
+            full[3 + i, j] = -turned[j][i]
+    return jnp.sum(stack(*(full[entry] for entry in _LOWER)), axis=-2)
+
+
+def _cross(a: Any, b: Any) -> list[Any]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+_LOWER = tuple((i, j) for i in range(6) for j in range(i + 1))
+_WHOLE = np.array([[_LOWER.index((max(i, j), min(i, j))) for j in range(6)] for i in range(6)])

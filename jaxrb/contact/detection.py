@@ -71,7 +71,11 @@ def detect(
         chosen.append(pair)
         overflow = overflow | short | more
     contacts = _joined(rules, obstacles, meetings, found, chosen, state, within, count)
-    start = jnp.zeros_like(contacts.lever) if memory is None else _remembered(contacts, chosen, memory)
+    start = (
+        jnp.zeros((*contacts.active.shape, 3), state.dtype)
+        if memory is None
+        else _remembered(contacts, chosen, memory)
+    )
     return Detected(contacts, start, tuple(chosen), overflow)
 
 
@@ -188,12 +192,12 @@ def _joined(
     points = Manifold(*(jnp.concatenate(parts) for parts in zip(*groups, strict=True)))
     pushed, back = incidence.take(state.position)
     lever = points.position - pushed[:, None]
-    lever_back = None if back is None else points.position[len(lone) :] - back[:, None]
+    back = None if back is None else points.position[len(lone) :] - back[:, None]
     return Contacts(
         incidence,
         points.normal,
         lever,
-        lever_back,
+        back,
         points.distance,
         points.valid & (points.distance <= within),
         _coefficient("friction", rules, obstacles, meetings, incidence),

@@ -43,7 +43,9 @@ class Course(eqx.Module):
 
 def first_course(motion: Array, contacts: Contacts) -> Course:
     """Nothing yet."""
-    return Course(jnp.zeros_like(motion), jnp.zeros_like(motion), jnp.zeros_like(contacts.lever))
+    return Course(
+        jnp.zeros_like(motion), jnp.zeros_like(motion), jnp.zeros((*contacts.active.shape, 3), motion.dtype)
+    )
 
 
 def closing(problem: Problem, course: Course, start: Array, dt: Scalar) -> tuple[Array, Scalar, Scalar]:

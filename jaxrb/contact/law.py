@@ -8,58 +8,47 @@ tangential part to the length μ λₙ.
 
 import jax.numpy as jnp
 
-from jaxrb.math.arrays import Array, Scalar, Vector, components, stack
+from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.safe import divide, safe_sqrt
-from jaxrb.math.vector import dot
 
 
 def predicted(impulse: Vector, velocity: Vector, bias: Scalar, normal: Vector, stiffness: Scalar) -> Vector:
     """λ − (v − b n)/R (..., 3), with `stiffness` = 1/R [kg], zero where there is no contact."""
-    return stack(
-        *(
-            old - stiffness * (v - bias * n)
-            for old, v, n in zip(components(impulse), components(velocity), components(normal), strict=True)
-        )
-    )
+    return impulse - stiffness[..., None] * (velocity - bias[..., None] * normal)
 
 
 def projected(wanted: Vector, normal: Vector, bound: Scalar | None) -> Vector:
     """The allowed impulse nearest to `wanted` (..., 3), its tangential part at most `bound` long (None: none)."""
-    along = dot(wanted, normal)
+    along = jnp.sum(wanted * normal, axis=-1)
     pressing = jnp.maximum(along, 0.0)
     if bound is None:
-        return stack(*(pressing * n for n in components(normal)))
+        return pressing[..., None] * normal
     scale, tangential = _cut(wanted, along, normal, bound)
-    return stack(*(pressing * n + scale * t for n, t in zip(components(normal), tangential, strict=True)))
+    return pressing[..., None] * normal + scale[..., None] * tangential
 
 
 def curvature(wanted: Vector, normal: Vector, bound: Scalar | None, stiffness: Scalar) -> Array:
-    """−∂λ/∂v of `projected(predicted(...))` at a fixed bound: a symmetric matrix as six numbers (..., 6)."""
-    along = dot(wanted, normal)
+    """−∂λ/∂v (..., 3, 3) of `projected(predicted(...))` at a fixed bound."""
+    along = jnp.sum(wanted * normal, axis=-1)
     pressing = jnp.where(along > 0, stiffness, 0.0)
-    n = components(normal)
     if bound is None:
-        return stack(*(pressing * n[i] * n[j] for i, j in _SIX))
+        return _outer(pressing, normal)
     scale, tangential = _cut(wanted, along, normal, bound)
-    sticking = scale >= 1.0
     side = stiffness * scale
-    length = safe_sqrt(sum(t * t for t in tangential))
-    sliding = jnp.where(sticking, 0.0, side)
-    t = [divide(part, length) for part in tangential]
-    return stack(
-        *(
-            (pressing - side) * n[i] * n[j] - sliding * t[i] * t[j] + (side if i == j else 0.0)
-            for i, j in _SIX
-        )
-    )
+    length = safe_sqrt(jnp.sum(tangential * tangential, axis=-1))
+    sliding = jnp.where(scale >= 1.0, 0.0, side)
+    sideways = side[..., None, None] * jnp.eye(3, dtype=wanted.dtype)
+    across = divide(tangential, length[..., None])
+    return sideways + _outer(pressing - side, normal) - _outer(sliding, across)
 
 
-_SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+def _outer(scale: Scalar, v: Vector) -> Array:
+    return (scale[..., None] * v)[..., :, None] * v[..., None, :]
 
 
-def _cut(wanted: Vector, along: Scalar, normal: Vector, bound: Scalar) -> tuple[Scalar, list[Scalar]]:
+def _cut(wanted: Vector, along: Scalar, normal: Vector, bound: Scalar) -> tuple[Scalar, Vector]:
     """The factor that brings the tangential part within the disc, and that part."""
-    tangential = [w - along * n for w, n in zip(components(wanted), components(normal), strict=True)]
-    length = safe_sqrt(sum(t * t for t in tangential))
+    tangential = wanted - along[..., None] * normal
+    length = safe_sqrt(jnp.sum(tangential * tangential, axis=-1))
     outside = length > bound
     return jnp.where(outside, divide(bound, jnp.where(outside, length, 1.0)), 1.0), tangential

@@ -1,7 +1,4 @@
-"""Linear algebra of the contact solve: 6×6 blocks of bodies, and conjugate gradients preconditioned by them.
-
-Symmetric 6×6 matrices are 21 numbers, row by row of the lower triangle, as arrays over the bodies.
-"""
+"""Linear algebra of the contact solve: 6×6 blocks of bodies, and conjugate gradients preconditioned by them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,44 +6,31 @@ from typing import Any
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.math.arrays import Array, components, stack
-
-LOWER = tuple((i, j) for i in range(6) for j in range(i + 1))
+from jaxrb.math.arrays import Array
 
 
-def factorised(matrix: Array) -> Array:
-    """L and D (..., 21) of a symmetric positive definite matrix L D Lᵀ, the reciprocals of D on the diagonal.
+def inverted(matrix: Array) -> Array:
+    """Inverses (n, 6, 6) of symmetric positive definite matrices, by sweeping (Goodnight 1979, Amer. Stat. 33, 149).
 
-    By components: a batched library call costs about a microsecond a matrix, this a tenth of that.
+    One small kernel, six times: the library's batched solve costs a microsecond a matrix, and a factorisation written
+    out by components compiles for half a second.
     """
-    a = dict(zip(LOWER, components(matrix), strict=True))
-    lower: dict[tuple[int, int], Any] = {}
-    for j in range(6):
-        scaled = [lower[j, k] * a[k, k] for k in range(j)]
-        pivot = a[j, j]
-        for k in range(j):
-            pivot = pivot - lower[j, k] * scaled[k]
-        a[j, j] = pivot
-        for i in range(j + 1, 6):
-            entry = a[i, j]
-            for k in range(j):
-                entry = entry - lower[i, k] * scaled[k]
-            lower[i, j] = entry / pivot
-    return stack(*(1.0 / a[i, i] if i == j else lower[i, j] for i, j in LOWER))
+
+    def sweep(k: Any, a: Array) -> Array:
+        here = jnp.arange(6) == k
+        row = lax.dynamic_index_in_dim(a, k, axis=1)
+        column = jnp.swapaxes(row, 1, 2)
+        pivot = lax.dynamic_index_in_dim(row, k, axis=2)
+        swept = a - column * row / pivot
+        swept = jnp.where(here[:, None], row / pivot, jnp.where(here[None, :], column / pivot, swept))
+        return jnp.where(here[:, None] & here[None, :], -1.0 / pivot, swept)
+
+    return -lax.fori_loop(0, 6, sweep, matrix)
 
 
-def solved(factors: Array, right: Array) -> Array:
-    """x (..., 6) of L D Lᵀ x = right."""
-    f = dict(zip(LOWER, components(factors), strict=True))
-    x = list(components(right))
-    for i in range(6):
-        for k in range(i):
-            x[i] = x[i] - f[i, k] * x[k]
-    x = [x[i] * f[i, i] for i in range(6)]
-    for i in reversed(range(6)):
-        for k in range(i + 1, 6):
-            x[i] = x[i] - f[k, i] * x[k]
-    return stack(*x)
+def multiplied(matrix: Array, vector: Array) -> Array:
+    """Products (n, 6) of matrices (n, 6, 6) with vectors (n, 6)."""
+    return jnp.sum(matrix * vector[:, None, :], axis=-1)
 
 
 def conjugate_gradients(

@@ -1,23 +1,20 @@
 """One contact problem: bodies as the step without contact leaves them, and the points where they touch."""
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxrb.body.inertia import symmetric_apply
 from jaxrb.contact.block import Contacts
 from jaxrb.contact.law import predicted, projected
 from jaxrb.math.arrays import Array, Scalar, Vector, components, stack
-from jaxrb.math.vector import dot
+from jaxrb.math.vector import matvec
 
 
 class Problem(eqx.Module):
     """Find the motion u (n, 6) = (v, ω) in W and impulses λ with M (u − free) = Jᵀ λ and the law at each point.
 
-    `mass` (n,), `inertia` (n, 6) about the centre in W (xx, yy, zz, xy, xz, yz), and their inverses; `free` (n, 6) the
-    motion without contact; `bias` (k, s) [m/s] the least normal velocity of each point; `tolerance` [1] of the answer,
-    relative to the largest velocity that contact takes away.
+    `mass` (n,), `inertia` (n, 3, 3) about the centre in W, and their inverses; `free` (n, 6) the motion without contact;
+    `bias` (k, s) [m/s] the least normal velocity of each point; `tolerance` [1] of the answer, relative to the largest
+    velocity that contact takes away.
     """
 
     contacts: Contacts
@@ -37,6 +34,14 @@ class Problem(eqx.Module):
         """M⁻¹ p (n, 6)."""
         return _applied(self.inverse_mass, self.inverse_inertia, impulse)
 
+    def felt(self, impulse: Array) -> Scalar:
+        """The largest velocity [m/s] that impulses on the bodies (n, 6) give to a body's centre or to a point."""
+        given = self.response(impulse)
+        at_points = jnp.sum(self.contacts.relative_velocity(given) ** 2, axis=-1)
+        at_centers = jnp.sum(given[:, :3] ** 2, axis=-1)
+        most = jnp.max(jnp.where(self.contacts.active, at_points, 0.0), initial=0.0)
+        return jnp.sqrt(jnp.maximum(most, jnp.max(at_centers, initial=0.0)))
+
     def moved_by(self, impulse: Vector) -> Array:
         """The motion (n, 6) after impulses (k, s, 3)."""
         return self.free + self.response(self.contacts.impulse_on_bodies(impulse))
@@ -49,7 +54,7 @@ class Problem(eqx.Module):
         """μ λₙ (k, s); None without friction."""
         if self.contacts.friction is None:
             return None
-        pressing = jnp.maximum(dot(impulse, self.contacts.normal[:, None]), 0.0)
+        pressing = jnp.maximum(jnp.sum(impulse * self.contacts.normal[:, None], axis=-1), 0.0)
         return self.contacts.friction[:, None] * pressing
 
     def projected(self, wanted: Vector, bound: Scalar | None) -> Vector:
@@ -59,29 +64,32 @@ class Problem(eqx.Module):
     def stiffness(self, compliance: float) -> Scalar:
         """1/R (k, s) [kg] of compliance R = `compliance` · effective inverse mass of the point; 0 where inactive."""
         c = self.contacts
-        pushed, back = c.incidence.take(
-            jnp.concatenate([self.inverse_mass[:, None], self.inverse_inertia], axis=1)
-        )
+        six = jnp.concatenate([self.inverse_mass[:, None], self.inverse_inertia.reshape(-1, 9)], axis=1)
+        pushed, back = c.incidence.take(six)
         mobility = _mobility(pushed, c.lever)
         if back is not None and c.lever_back is not None:
-            mobility = mobility.at[len(c.incidence.lone) :].add(_mobility(back, c.lever_back))
+            mobility = mobility.at[c.lone :].add(_mobility(back, c.lever_back))
         return jnp.where(c.active, 1.0 / jnp.where(c.active, compliance * mobility, 1.0), 0.0)
 
+    def mass_matrix(self) -> Array:
+        """M (n, 6, 6) of each body."""
+        straight = self.mass[:, None, None] * jnp.eye(3, dtype=self.inertia.dtype)
+        none = jnp.zeros_like(straight)
+        rows = [jnp.concatenate(row, axis=2) for row in ((straight, none), (none, self.inertia))]
+        return jnp.concatenate(rows, axis=1)
 
-def _applied(scale: Scalar, six: Array, motion: Array) -> Array:
+
+def _applied(scale: Scalar, tensor: Array, motion: Array) -> Array:
     v1, v2, v3, w1, w2, w3 = components(motion)
-    turned = components(symmetric_apply(six, stack(w1, w2, w3)))
-    return stack(scale * v1, scale * v2, scale * v3, *turned)
+    return stack(scale * v1, scale * v2, scale * v3, *components(matvec(tensor, stack(w1, w2, w3))))
 
 
-def _mobility(inverse: Array, lever: Vector) -> Any:
-    """A third of the trace of the inverse mass (k, s) that a point feels: 1/m + (tr(I⁻¹) r² − r · I⁻¹ r)/3."""
-    mass, *six = (part[:, None] for part in components(inverse))
-    r = components(lever)
-    xx, yy, zz, xy, xz, yz = six
-    squared = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
-    along = (
-        xx * r[0] * r[0] + yy * r[1] * r[1] + zz * r[2] * r[2]
-        + 2 * (xy * r[0] * r[1] + xz * r[0] * r[2] + yz * r[1] * r[2])
-    )  # fmt: skip
-    return mass + ((xx + yy + zz) * squared - along) / 3
+def _mobility(inverse: Array, lever: Vector) -> Scalar:
+    """A third of the trace of J M⁻¹ Jᵀ (k, s) [1/kg]: by how much an impulse at the point moves it, on the mean.
+
+    1/m + (tr(I⁻¹) r² − r · I⁻¹ r)/3.
+    """
+    mass, xx, xy, xz, _, yy, yz, _, _, zz = (part[:, None] for part in components(inverse))
+    x, y, z = components(lever)
+    turning = (yy + zz) * x * x + (xx + zz) * y * y + (xx + yy) * z * z
+    return mass + (turning - 2 * (xy * x * y + xz * x * z + yz * y * z)) / 3

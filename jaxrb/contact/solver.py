@@ -15,11 +15,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.body.inertia import symmetric_apply
+from jaxrb.collision.touch_settled import settled
 from jaxrb.contact.law import curvature
-from jaxrb.contact.linear import LOWER, conjugate_gradients, factorised, solved
+from jaxrb.contact.linear import conjugate_gradients, inverted, multiplied
 from jaxrb.contact.problem import Problem
-from jaxrb.math.arrays import Array, Scalar, Vector, components, stack
+from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.vector import dot
 
 
@@ -85,9 +85,9 @@ def solve_contacts(problem: Problem, start: Vector) -> Solution:
         given = _Given(problem, stiffness, motion, velocity)
         held, gap, wanted, impulse, residual, follows = given.with_multipliers(held, tolerance, count == 0)
         bound = problem.bound(held)
-        bend = curvature(wanted, c.normal[:, None], bound, stiffness)
+        bend = settled(curvature(wanted, c.normal[:, None], bound, stiffness))
         # While points still open and close, a rough direction is as good as any; then one exact solve ends it.
-        off = jnp.max(jnp.abs(problem.response(gap)[:, :3]), initial=0.0)
+        off = problem.felt(gap)
         rough = jnp.where(whole, jnp.clip(0.1 * tolerance / off, _EXACT, _ROUGH), _ROUGH)
         right = jnp.where(residual > tolerance, -gap, 0.0)
         direction, used = _newton_direction(problem, bend, right, rough)
@@ -103,7 +103,9 @@ def solve_contacts(problem: Problem, start: Vector) -> Solution:
     carry = (none, motion, velocity, start, jnp.ones((), bool), softness, unknown, none)
     count, _, _, held, _, _, residual, products = lax.while_loop(going, step, carry)
     # By the impulses themselves, so that momentum is kept to round-off whatever the tolerance.
-    return Solution(problem.moved_by(held), held, residual, residual > _POOR * taken, count, products)
+    return Solution(
+        problem.moved_by(held), held, residual, _is_poor(residual, taken, problem.free), count, products
+    )
 
 
 class _Given(NamedTuple):
@@ -130,10 +132,12 @@ class _Given(NamedTuple):
             wanted = problem.wanted(held, self.velocity, self.stiffness)
             impulse = problem.projected(wanted, problem.bound(held))
             gap = problem.momentum(self.motion - problem.free) - problem.contacts.impulse_on_bodies(impulse)
-            change = _as_velocity(impulse - held, self.stiffness)
-            off = jnp.max(jnp.abs(problem.response(gap)[:, :3]), initial=0.0)
+            # As velocities of the points: impulses that share a load in another way move nothing.
+            change = problem.felt(problem.contacts.impulse_on_bodies(impulse - held))
+            off = problem.felt(gap)
+            follow = (round_ == 0) & (off <= jnp.maximum(tolerance, 0.1 * change))
             solved_before = first & (change <= tolerance)
-            follow = (round_ == 0) & (off <= jnp.maximum(tolerance, 0.1 * change)) & ~solved_before
+            follow = follow & ~solved_before
             reached = jnp.maximum(jnp.maximum(change, off), jnp.where(follow, 0.0, 2 * tolerance))
             reached = jnp.where(solved_before, change, reached)
             return (
@@ -190,67 +194,24 @@ def _speed_to_take(problem: Problem, motion: Array) -> Scalar:
     return jnp.max(jnp.where(c.active, missing, 0.0), initial=0.0)
 
 
-def _as_velocity(impulse: Vector, stiffness: Scalar) -> Scalar:
-    """The largest of R |λ| [m/s]."""
-    squared = jnp.sum(impulse * impulse, axis=-1)
-    touching = stiffness > 0
-    return jnp.sqrt(
-        jnp.max(jnp.where(touching, squared / jnp.where(touching, stiffness, 1.0) ** 2, 0.0), initial=0.0)
-    )
+def _is_poor(residual: Scalar, taken: Scalar, motion: Array) -> Array:
+    """Whether the residual is a good part of what contact does, and more than round-off of the motion."""
+    round_off = 100 * jnp.finfo(motion.dtype).eps * jnp.max(jnp.abs(motion), initial=0.0)
+    return residual > jnp.maximum(_POOR * taken, round_off)
 
 
 def _newton_direction(problem: Problem, bend: Array, right: Array, tolerance: Scalar) -> tuple[Array, Array]:
-    """(M + Jᵀ G J)⁻¹ right, with G as six numbers a point."""
+    """(M + Jᵀ G J)⁻¹ right, with G (k, s, 3, 3); and how many products of the matrix it took."""
     c = problem.contacts
 
     def apply(direction: Array) -> Array:
-        pull = symmetric_apply(bend, c.relative_velocity(direction))
+        pull = jnp.sum(bend * c.relative_velocity(direction)[:, :, None, :], axis=-1)
         return problem.momentum(direction) + c.impulse_on_bodies(pull)
 
-    factors = factorised(_diagonal_blocks(problem, bend))
+    inverse = inverted(problem.mass_matrix() + c.blocks(bend))
     if c.lever_back is None:
         # Bodies that touch only what stands still do not know of each other.
-        return solved(factors, right), jnp.zeros((), jnp.int32)
+        return multiplied(inverse, right), jnp.zeros((), jnp.int32)
     return conjugate_gradients(
-        apply, lambda r: solved(factors, r), right, tolerance=tolerance, most=_PRODUCTS
+        apply, lambda r: multiplied(inverse, r), right, tolerance=tolerance, most=_PRODUCTS
     )
-
-
-def _diagonal_blocks(problem: Problem, bend: Array) -> Array:
-    """The block of each body in M + Jᵀ G J (n, 21)."""
-    c = problem.contacts
-    lone = len(c.incidence.lone)
-    pushed = _blocks(bend, c.lever)
-    back = None if c.lever_back is None else _blocks(bend[lone:], c.lever_back)
-    xx, yy, zz, xy, xz, yz = components(problem.inertia)
-    m, zero = problem.mass, jnp.zeros_like(problem.mass)
-    own = stack(
-        m, zero, m, zero, zero, m,
-        zero, zero, zero, xx, zero, zero, zero, xy, yy, zero, zero, zero, xz, yz, zz,
-    )  # fmt: skip
-    return own + c.incidence.give(pushed, back)
-
-
-def _blocks(bend: Array, lever: Vector) -> Array:
-    """Sum over the slots of Jᵀ G J (k, 21), J = (1, −r*)."""
-    xx, yy, zz, xy, xz, yz = components(bend)
-    g = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
-    r1, r2, r3 = components(lever)
-    # Rows of G times −r*, and r* times these: the columns of J for a turn about each axis are e × r.
-    turn = [[row[2] * r2 - row[1] * r3, row[0] * r3 - row[2] * r1, row[1] * r1 - row[0] * r2] for row in g]
-
-    def lifted(column: Any) -> list[Any]:
-        return [
-            r2 * column[2] - r3 * column[1],
-            r3 * column[0] - r1 * column[2],
-            r1 * column[1] - r2 * column[0],
-        ]
-
-    both = [lifted([turn[i][j] for i in range(3)]) for j in range(3)]  # both[j][i]
-    full: dict[tuple[int, int], Any] = {}
-    for i in range(3):
-        for j in range(i + 1):
-            full[i, j], full[3 + i, 3 + j] = g[i][j], both[j][i]
-        for j in range(3):
-            full[3 + i, j] = turn[j][i]
-    return stack(*(jnp.sum(full[entry], axis=-1) for entry in LOWER))

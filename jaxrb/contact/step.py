@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxrb.body.inertia import symmetric_apply
 from jaxrb.body.state import State
 from jaxrb.contact.detection import Detected, Memory, detect, first_memory, remembered
 from jaxrb.contact.impact import Course, closing, first_course, impact_scale
@@ -26,7 +25,7 @@ from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.geometry.bounds import bounding_box
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.safe import norm
-from jaxrb.math.vector import dot
+from jaxrb.math.vector import dot, matvec
 
 # Rounds of impacts in one step: a blow runs through a row of so many bodies. What is left then goes on in the next.
 _IMPACT_ROUNDS = 8
@@ -62,11 +61,7 @@ class ContactStep(eqx.Module):
         """The state after the step in which contact has had its say."""
         detected = self._detected(old, self._reach(old, free, dt), carried.memory)
         problem, spin = self._problem(dynamics, old, free, detected, dt)
-        start = _motion(
-            problem,
-            old.velocity,
-            old.orientation.rotate(dynamics.inertia.inertia.apply(old.angular_velocity)),
-        )
+        start = jnp.concatenate([old.velocity, old.orientation.rotate(old.angular_velocity)], axis=1)
         if problem.contacts.restitution is None:
             course = first_course(problem.free, problem.contacts)
             course, found = self._round(problem, course, start, detected.start, dt, None)
@@ -85,8 +80,9 @@ class ContactStep(eqx.Module):
         """The problem at the start of the step, and the angular momentum (n, 3) in W that the free step ends with."""
         c = detected.contacts
         spin = free.orientation.rotate(dynamics.inertia.inertia.apply(free.angular_velocity))
-        inertia = dynamics.inertia.inertia.rotated(old.orientation).six()
-        inverse = dynamics.inertia.inverted().rotated(old.orientation).six()
+        inertia = dynamics.inertia.inertia.rotated(old.orientation).as_matrix()
+        inverse = dynamics.inertia.inverted().rotated(old.orientation).as_matrix()
+        motion = jnp.concatenate([free.velocity, matvec(inverse, spin)], axis=1)
         problem = Problem(
             c,
             self._bias(c.distance, dt),
@@ -94,10 +90,10 @@ class ContactStep(eqx.Module):
             inertia,
             dynamics.inverse_mass,
             inverse,
-            inverse,
+            motion,
             dt,
         )
-        return eqx.tree_at(lambda p: p.free, problem, _motion(problem, free.velocity, spin)), spin
+        return problem, spin
 
     def _bias(self, gap: Scalar, dt: Scalar) -> Scalar:
         """The least normal velocity that leaves no overlap at the end of the step."""
@@ -189,8 +185,3 @@ class ContactStep(eqx.Module):
             jnp.where(touched, omega, free.angular_velocity),
             free.time,
         )
-
-
-def _motion(problem: Problem, velocity: Vector, spin: Vector) -> Array:
-    """(v, ω) in W (n, 6) of velocities and angular momenta in W."""
-    return jnp.concatenate([velocity, symmetric_apply(problem.inverse_inertia, spin)], axis=1)

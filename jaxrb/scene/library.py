@@ -1,9 +1,11 @@
-"""Scenes by name: what the commands run, with a start and a duration; or a user's own from a Python file."""
+"""Scenes by name: what the commands run, with a start and a duration; or a user's own from a Python file.
 
-import dataclasses
+Those of `SCENES` are smooth, and have answers that can be known; those with contact are in `contact_library`.
+"""
+
 import difflib
 import runpy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,26 +21,12 @@ from jaxrb.effects.spring import SpringDamper
 from jaxrb.errors import InvalidInput, JaxrbError, UnknownName, WrongStructure
 from jaxrb.geometry.primitives import Box
 from jaxrb.math.quaternion import Quaternion
-from jaxrb.math.rotation import Rotation
+from jaxrb.scene.contact_library import CONTACT_SCENES
+from jaxrb.scene.example import Example
 from jaxrb.scene.scene import Scene, check_fit
 from jaxrb.scene.settings import check_positive
 
 SLUG_FT2 = 1.3558179483314004  # [kg m²]: 1 slug ft² is 1 lbf ft s²
-
-
-@dataclasses.dataclass(frozen=True)
-class Example:
-    """A scene with a start and a `duration` [s]. `start` holds the arguments of `Scene.state` as plain numbers."""
-
-    name: str
-    about: str
-    scene: Scene
-    start: Mapping[str, Any]
-    duration: float
-
-    def state(self, rotation: type[Rotation] = Quaternion, dtype: Any = None) -> State:
-        """The start in a representation and a floating type, by default JAX's own."""
-        return self.scene.state(**self.start, rotation=rotation, dtype=dtype)
 
 
 def tumbling_brick() -> Example:
@@ -155,7 +143,7 @@ SCENES: dict[str, Callable[[], Example]] = {
 def example_of(name: str) -> Example:
     """The scene of that name, or the one that the Python file of that name defines.
 
-    Such a file defines `scene` (a `Scene`), `state` (a `State` of it) and `duration` [s].
+    Such a file defines `scene` (a `Scene`), `state` (a `State` of it), `duration` [s] and, if it likes, `dt` [s].
 
     Raises:
         UnknownName: there is no such scene; the message suggests the nearest.
@@ -164,12 +152,13 @@ def example_of(name: str) -> Example:
     if name.endswith(".py"):
         return _from_file(Path(name))
     key = name.lower().replace("-", "_")
-    if key in SCENES:
-        return SCENES[key]()
-    near = difflib.get_close_matches(key, SCENES, n=2, cutoff=0.4)
+    known = SCENES | CONTACT_SCENES
+    if key in known:
+        return known[key]()
+    near = difflib.get_close_matches(key, known, n=2, cutoff=0.4)
     meant = f"did you mean {' or '.join(near)}? " if near else ""
     raise UnknownName(
-        f"scene {name!r} is not known; {meant}There are {', '.join(SCENES)}; or give a Python file (….py) that "
+        f"scene {name!r} is not known; {meant}There are {', '.join(known)}; or give a Python file (….py) that "
         "defines scene, state and duration"
     )
 
@@ -177,7 +166,8 @@ def example_of(name: str) -> Example:
 def _from_file(file: Path) -> Example:
     if not file.is_file():
         raise InvalidInput(
-            f"scene file {file}: there is no such file; give a name of {', '.join(SCENES)}, or a path"
+            f"scene file {file}: there is no such file; give a name of "
+            f"{', '.join(SCENES | CONTACT_SCENES)}, or a path"
         )
     try:
         defined = runpy.run_path(str(file))
@@ -202,7 +192,11 @@ def _from_file(file: Path) -> Example:
     scene, state = defined["scene"], defined["state"]
     check_fit(scene, state)
     check_positive(f"{file}: duration", defined["duration"])
-    return Example(file.stem, str(file), scene, _numbers(state), float(defined["duration"]))
+    dt = defined.get("dt")
+    if dt is not None:
+        check_positive(f"{file}: dt", dt)
+        dt = float(dt)
+    return Example(file.stem, str(file), scene, _numbers(state), float(defined["duration"]), dt)
 
 
 def _numbers(state: State) -> dict[str, Any]:

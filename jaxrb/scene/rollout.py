@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxrb.body.state import State, finite_per_body
+from jaxrb.contact import SOLVED
 from jaxrb.errors import InvalidInput
 from jaxrb.integrators.method import Method, contact_report
 from jaxrb.integrators.names import method_of
@@ -31,6 +32,9 @@ from jaxrb.scene.settings import (
     warn_of_coarse_steps,
 )
 from jaxrb.scene.status import Status, sound, status_after, with_contact
+
+# A reverse pass forms all again but the contact solves: those it keeps.
+_KEPT = jax.checkpoint_policies.save_only_these_names(SOLVED)
 
 
 def rollout(
@@ -132,7 +136,7 @@ def _run_steps(
         regular = torque[: saves * save_every].reshape(saves, save_every, *torque.shape[1:])
         rest = torque[saves * save_every :]
     if adjoint == "checkpoint":
-        stretch = jax.checkpoint(stretch, prevent_cse=False)
+        stretch = jax.checkpoint(stretch, prevent_cse=False, policy=_KEPT)
     carry, saved = lax.scan(stretch, carry, regular, length=saves)
     if steps > saves * save_every:
         carry = advance(carry, rest, steps - saves * save_every)
@@ -162,7 +166,9 @@ def _scan(one: Any, carry: tuple, given: Vector | None, length: int) -> tuple:
     if given is not None:
         regular = given[: blocks * block].reshape(blocks, block, *given.shape[1:])
         rest = given[blocks * block :]
-    carry, _ = lax.scan(jax.checkpoint(run_block, prevent_cse=False), carry, regular, length=blocks)
+    carry, _ = lax.scan(
+        jax.checkpoint(run_block, prevent_cse=False, policy=_KEPT), carry, regular, length=blocks
+    )
     if length > blocks * block:
         carry = lax.scan(one, carry, rest, length=length - blocks * block)[0]
     return carry
