@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import jax
+import numpy as np
 import pytest
 
 from jaxrb.data import TUMBLING_BRICK
@@ -81,7 +82,7 @@ def test_wrong_command_line_exits_with_two():
     assert jaxrb("fit").returncode == 2
 
 
-@pytest.mark.parametrize("command", ["demo", "fit", "bench"])
+@pytest.mark.parametrize("command", ["demo", "simulate", "fit", "bench"])
 def test_help_has_an_example(command):
     done = jaxrb(command, "--help")
     assert done.returncode == 0
@@ -93,6 +94,35 @@ def test_fit_of_the_bundled_recording_prints_json():
     done = jaxrb("fit", TUMBLING_BRICK, "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)
+
+
+def test_simulate_runs_saves_and_draws(tmp_path):
+    run = (
+        "simulate",
+        "block_on_incline",
+        "--duration",
+        "0.1",
+        "--json",
+        "--save",
+        "run.npz",
+        "--plot",
+        "run.png",
+    )
+    done = jaxrb(*run, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout)
+    assert facts["steps"] == 50
+    assert facts["precision"] == "float64"
+    assert facts["friction_work_j"] < 0
+    assert (tmp_path / "run.png").stat().st_size > 10_000
+    with np.load(tmp_path / "run.npz") as saved:
+        assert saved["time"][-1] == pytest.approx(0.1)
+
+
+def test_simulate_suggests_the_scene_that_was_meant():
+    done = jaxrb("simulate", "domino-rows")
+    assert done.returncode == 1
+    assert "did you mean domino_row" in done.stderr
 
 
 @pytest.mark.parametrize("notebook", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda f: f.name)

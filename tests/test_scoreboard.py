@@ -5,11 +5,21 @@ import numpy as np
 import pytest
 
 from jaxrb.accuracy.reference import closed_form, errors, reference
-from jaxrb.bench import peers
-from jaxrb.bench.published import GAZEBO_BOX_END, GAZEBO_BOXES, RIGID_BODY_END, TUMBLING_BRICK_END
+from jaxrb.bench import peers, simbenchmark
+from jaxrb.bench.published import (
+    BOUNCING,
+    ELASTIC_666,
+    GAZEBO_BOX_END,
+    GAZEBO_BOXES,
+    INELASTIC_666,
+    RIGID_BODY_END,
+    ROLLING,
+    TUMBLING_BRICK_END,
+)
 from jaxrb.bench.rigid_body_problem import MOMENTS, SCALES, exact_end, problem
 from jaxrb.bench.scoreboard import ROWS, _box_judge, _jaxrb, _mujoco, rotated, rows_of
 from jaxrb.errors import UnknownName
+from jaxrb.scene.contact_library import slab_with_balls, spheres_216
 from jaxrb.scene.library import gazebo_boxes, tumbling_brick
 from jaxrb.scene.scene import energy
 
@@ -121,6 +131,41 @@ def test_unknown_row_lists_the_rows():
     with pytest.raises(UnknownName, match="B-simple"):
         rows_of("Z")
     assert [row.name for row in rows_of(None)] == list(ROWS)
+
+
+def test_row_c_means_all_four_of_simbenchmark():
+    assert [row.name for row in rows_of("c")] == ["C-bouncing", "C-rolling", "C-666", "C-666-elastic"]
+    assert [row.name for row in rows_of("B")] == ["B"]
+
+
+def test_goals_are_raisims_at_the_same_step():
+    assert simbenchmark._raisim(BOUNCING, "energy_j2", 1e-3) == 1.86e-2
+    assert simbenchmark._raisim(BOUNCING, "energy_j2", 1e-2) is None
+    assert simbenchmark._raisim(ELASTIC_666, "energy_j2", 1e-2) == 5.2e6
+    assert simbenchmark._raisim(INELASTIC_666, "overlap_m2", 1e-3) == 1.35e-4
+    assert {p.entry()["setting"] for p in ROLLING} == {"y, dt 1e-3", "oblique, dt 1e-3"}
+
+
+def test_overlap_finds_planted_ones():
+    position = np.asarray(spheres_216().start["position"])
+    assert simbenchmark._overlap_of(position) == 0.0
+    position[0, 2] = 0.1 - 0.003
+    assert simbenchmark._overlap_of(position) == pytest.approx(0.003**2)
+    position[1] = position[0] + [0.196, 0.0, 0.005]
+    deep = 0.2 - np.hypot(0.196, 0.005)
+    assert simbenchmark._overlap_of(position) == pytest.approx(0.003**2 + deep**2)
+
+
+def test_balls_roll_on_the_slab_with_two_sevenths_of_its_acceleration():
+    """SimBenchmark's rolling over its first 20 ms, oblique: the cone is round, so nothing sticks."""
+    with jax.enable_x64(True):
+        example = slab_with_balls((0.5, 0.75**0.5))
+        path, _, _ = simbenchmark._Program(example, 1e-3, 0.02)(example.state())
+        assert path.status.ok
+        slab, ball = simbenchmark.rolling_errors(path, np.array([0.5, 0.75**0.5]))
+        wrong, _ = simbenchmark.rolling_errors(path, np.array([0.0, 1.0]))
+    assert slab + ball < simbenchmark.ROLLING_GOAL
+    assert wrong > 1e-6
 
 
 def _same_rotation(state, wxyz):

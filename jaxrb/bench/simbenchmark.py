@@ -74,9 +74,10 @@ def rolling_row(length: str = "default") -> Iterator[Entry]:
             path, cpu, wall = run(state)
             slab, ball = rolling_errors(path, np.asarray(direction))
             found = {"slab": slab, "ball": ball, "both": slab + ball}
-            verdict = _verdict(path, slab + ball, ROLLING_GOAL)
+            goal = ROLLING_GOAL if duration >= 4.0 else None
+            verdict, said = _verdict(path, slab + ball, goal), "" if goal is None else f"≤ {goal:.0e}"
             setting = f"{name}, dt {dt:g}, {duration:g} s"
-            yield _entry(setting, found, f"≤ {ROLLING_GOAL:.0e}", verdict, cpu, wall, run.first, state)
+            yield _entry(setting, found, said, verdict, cpu, wall, run.first, state)
 
 
 def inelastic_row(length: str = "default") -> Iterator[Entry]:
@@ -116,7 +117,8 @@ def _spheres(
         examples = [spheres_216(elastic, seed, capacity) for seed in seeds]
         run = _Program(examples[0], dt, duration)
         states = [example.state() for example in examples]
-        goal, whose = goal_of(dt)
+        # Over less than the published time a figure is no match for a published one.
+        goal, whose = goal_of(dt) if duration >= 10.0 else (None, "")
         setting = f"{duration:g} s, {len(seeds)} seed{'s' if len(seeds) > 1 else ''}"
         yield from _entries(run, states, figure, judge, dt, goal, whose, setting)
 
@@ -153,12 +155,12 @@ def _entries(
     setting: str,
 ) -> Iterator[Entry]:
     """One entry for all seeds: the mean, the lowest and the highest; the verdict is on the highest."""
-    values, times, verdict = [], [], "no goal at this dt"
+    values, times, verdict = [], [], "no goal for this"
     for state in states:
         path, cpu, wall = run(state)
         values.append(judge(path))
         times.append((cpu, wall))
-        if verdict not in ("FAILED", "missed"):
+        if not verdict.startswith("FAILED") and verdict != "missed":
             verdict = _verdict(path, values[-1], goal)
     found = {figure: float(np.mean(values)), "low": min(values), "high": max(values)}
     cpu, wall = np.mean(times, axis=0)
@@ -171,7 +173,7 @@ def _verdict(path: Path, value: float, goal: float | None) -> str:
     if reason:
         return "FAILED: too many contacts" if reason == TOO_MANY_CONTACTS else "FAILED"
     if goal is None:
-        return "no goal at this dt"
+        return "no goal for this"
     return "met" if value <= goal else "missed"
 
 

@@ -63,8 +63,9 @@ def closing(problem: Problem, course: Course, start: Array, dt: Scalar) -> tuple
     meets = square > 0
     speed = safe_sqrt(jnp.where(meets, square, 0.0))
     time = divide(2.0 * gap, speed - begin)
-    # What a resting body picks up in two steps is no blow.
-    resting = 2.0 * jnp.abs(acceleration) * dt
+    # What a resting body picks up in two steps is no blow, and neither is round-off between two that move as one.
+    round_off = jnp.sqrt(jnp.finfo(speed.dtype).eps) * jnp.max(jnp.abs(begin), initial=0.0)
+    resting = jnp.maximum(2.0 * jnp.abs(acceleration) * dt, round_off)
     hit = c.active & meets & (begin < 0) & (time <= dt) & (speed > resting) & (_restitution(c) > 0)
     left = jnp.where(hit, dt - time, 0.0)
     return hit, _restitution(c) * speed + acceleration * left, left

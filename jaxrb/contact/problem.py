@@ -12,9 +12,9 @@ from jaxrb.math.vector import matvec
 class Problem(eqx.Module):
     """Find the motion u (n, 6) = (v, ω) in W and impulses λ with M (u − free) = Jᵀ λ and the law at each point.
 
-    `mass` (n,), `inertia` (n, 3, 3) about the centre in W, and their inverses; `free` (n, 6) the motion without contact;
-    `bias` (k, s) [m/s] the least normal velocity of each point; `tolerance` [1] of the answer, relative to the largest
-    velocity that contact takes away.
+    `mass` (n,), `inertia` (n, 3, 3) about the centre in W, and their inverses; `free` (n, 6) the motion without
+    contact; `bias` (k, s) [m/s] the least normal velocity of each point; `tolerance` [1] of the answer, relative to the
+    largest velocity that contact takes away.
     """
 
     contacts: Contacts

@@ -27,8 +27,6 @@ class RigidContact(Effect):
     * `friction` [1], `restitution` [1], in [0, 1]: for all, or one a body (n,). Of two bodies the coefficients are put
       together by `combine`: "mean", "geometric", "smaller", "larger" or "product"; against what stands still the
       body's own holds.
-    * `rolling_resistance`, `spinning_resistance` [m]: the torque that resists rolling (pivoting about the normal) over
-      the normal force; as friction for all or one a body.
     * `bodies`: those that take part, None all. `groups`, `masks`: a whole number a body read as bits; two bodies can
       touch where each one's mask holds a bit of the other's group. Pairs that cannot are not in the program.
     * `capacity`: most pairs of bodies near each other, by default six a body; a run in which there are more fails.
@@ -42,8 +40,6 @@ class RigidContact(Effect):
     against: Any = None
     friction: Any = quantity((), nonnegative=True, default=None)
     restitution: Any = quantity((), nonnegative=True, at_most=1.0, default=None)
-    rolling_resistance: Any = quantity((), nonnegative=True, unit="m", default=None)
-    spinning_resistance: Any = quantity((), nonnegative=True, unit="m", default=None)
     recovery_speed: Any = quantity((), positive=True, unit="m/s", default=0.05)
     bodies: tuple[int, ...] | None = eqx.field(static=True, default=None, kw_only=True)
     groups: tuple[int, ...] | None = eqx.field(static=True, default=None, kw_only=True)
@@ -96,6 +92,8 @@ def _obstacles(against: Any) -> tuple[tuple[Shape, Pose | None], ...] | None:
     if isinstance(against, Shape):
         against = ((against, None),)
     elif isinstance(against, tuple) and len(against) == 2 and isinstance(against[1], Pose):
+        against = (against,)
+    if not isinstance(against, (tuple, list)):
         against = (against,)
     pairs = tuple(item if isinstance(item, (tuple, list)) else (item, None) for item in against)
     for item in pairs:
