@@ -99,7 +99,7 @@ def _linear_law(problem: Problem, found: Solution) -> tuple[Vector, Scalar]:
 
 
 def _firm_compliance(dtype: Any) -> float:
-    return 1e-8 if jnp.finfo(dtype).bits == 64 else 1e-4
+    return 1e-8 if jnp.finfo(dtype).bits == 64 else 1e-3
 
 
 def _slopes(problem: Problem, frozen: Vector, firm: Scalar) -> Array:

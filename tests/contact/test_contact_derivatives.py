@@ -171,7 +171,7 @@ def test_forward_and_reverse_mode_agree(jacobians, tolerance):
     cases, forward, reverse, _ = jacobians
     for k, name in enumerate(cases):
         off = np.abs(forward[k] - reverse[k]).max() / np.abs(forward[k]).max()
-        assert off <= tolerance(float64=1e-6, float32=1e-2), name
+        assert off <= tolerance(float64=1e-6, float32=2e-2), name
 
 
 def test_derivatives_are_those_of_the_step(jacobians):
@@ -212,7 +212,7 @@ def test_stopping_distance_has_the_derivatives_of_v_squared_over_two_mu_g(dtype,
 
     _, forward, reverse = at(speed, mu)
     exact = np.array([speed / (mu * G), -(speed**2) / (2 * mu**2 * G)])
-    assert forward == pytest.approx(reverse, rel=tolerance(float64=1e-6, float32=1e-2))
+    assert forward == pytest.approx(reverse, rel=tolerance(float64=1e-6, float32=2e-2))
     # The run's own derivative lies within a step of sliding of the law's.
     assert np.abs(forward - exact) == pytest.approx(0.0, abs=2 * dt * max(1.0, speed / mu))
     if dtype == jnp.float64:

@@ -82,16 +82,23 @@ def test_box_on_a_floor_stays(two, tolerance):
 
 
 @pytest.mark.parametrize("name", ["equal", "heavy on light", "light on heavy", "one on a million"])
-def test_one_box_stands_on_another(name, two, tolerance):
+def test_one_box_stands_on_another(name, two, tolerance, dtype):
     """Also ten thousand times heavier or lighter."""
+    if dtype == np.float32 and name == "heavy on light":
+        pytest.xfail(
+            "float32 solves a thousand on one; of ten thousand on one it finds no solution, and says so (poor)"
+        )
     assert bool(np.all(two[name].status.reason == 0))
     assert two[name].contact.poor[-1] == 0
     assert drift(two[name]) <= tolerance(float64=1e-9, float32=1e-4)
 
 
-def test_a_million_on_one_is_bounded_or_said_to_be_poor(two):
+def test_a_million_on_one_is_bounded_or_said_to_be_poor(two, dtype):
     """1e6 kg on 1 kg is beyond what is solved to its tolerance; then the report says so."""
     found = two["a million on one"]
+    if dtype == np.float32:
+        assert found.contact.poor[-1] > 0
+        return  # it sinks
     for leaf in jax.tree.leaves(found.states):
         assert np.isfinite(leaf).all()
     assert drift(found) <= 1e-3
