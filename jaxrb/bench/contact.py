@@ -19,7 +19,7 @@ from jaxrb.geometry import Box, HalfSpace
 from jaxrb.scene import Scene
 from jaxrb.scene.rollout import rollout
 
-WORKLOADS = ((1, 256, 500), (16, 16, 250), (64, 4, 100))  # boxes, worlds, steps
+WORKLOADS = ((1, 256, 500), (16, 16, 60), (64, 4, 30))  # boxes, worlds, steps
 _HALF, _DENSITY, _DT, _FRICTION, _GRAVITY = 0.1, 1000.0, 2e-3, 0.5, 9.81
 
 
