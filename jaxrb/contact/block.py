@@ -147,4 +147,7 @@ def _cross(a: Any, b: Any) -> list[Any]:
 
 
 _LOWER = tuple((i, j) for i in range(6) for j in range(i + 1))
-_WHOLE = np.array([[_LOWER.index((max(i, j), min(i, j))) for j in range(6)] for i in range(6)])
+_WHOLE = np.array(
+    [[_LOWER.index((max(i, j), min(i, j))) for j in range(6)] for i in range(6)],
+    np.int32,  # of one type in both precisions: jax keeps constants of a process that runs both, and mixes them up
+)
