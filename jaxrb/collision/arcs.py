@@ -17,7 +17,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.collision.lanes import dot, first_of, gathered, heights, row, settled, unit
+from jaxrb.collision.lanes import first_of, gathered, heights, row, unit
+from jaxrb.math.settled import settled
+from jaxrb.math.vector import dot_of as dot
 
 # Arcs that wait to be cut again; more than this many at once have not been seen.
 _WAITING = 6

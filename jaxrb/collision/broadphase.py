@@ -14,6 +14,7 @@ from jaxrb.checks import raise_if_overflowed
 from jaxrb.errors import WrongStructure
 from jaxrb.geometry.hierarchy import Hierarchy, dealt, walk
 from jaxrb.math.arrays import Array, Scalar
+from jaxrb.math.compaction import first_true
 
 # Above so many bodies the hierarchy is cheaper than all pairs.
 _FEW = 256
@@ -81,14 +82,14 @@ def body_pairs(
 
 def _all_pairs(low: Array, high: Array, capacity: int, bits: Any) -> BodyPairs:
     first, second = (jnp.asarray(side, jnp.int32) for side in np.triu_indices(len(low), 1))
-    tests, total = jnp.asarray(len(first), jnp.int32), jnp.zeros((), jnp.int32)
-    pairs = jnp.full((capacity, 2), -1, jnp.int32)
+    near = _overlap(low, high, first, second) & _allowed(bits, first, second)
+    number, total = first_true(near, capacity)
+    tests = jnp.asarray(len(first), jnp.int32)
     if len(first):
-        near = _overlap(low, high, first, second) & _allowed(bits, first, second)
-        rank = jnp.cumsum(near, dtype=jnp.int32)
-        place = jnp.where(near, rank - 1, capacity)  # beyond the end: dropped, and counted as overflow
-        pairs, total = pairs.at[place].set(jnp.stack([first, second], axis=-1), mode="drop"), rank[-1]
-    return BodyPairs(pairs[:, 0], pairs[:, 1], jnp.minimum(total, capacity), tests, total > capacity)
+        first, second = (jnp.where(number >= 0, side[number], -1) for side in (first, second))
+    else:
+        first = second = number
+    return BodyPairs(first, second, jnp.minimum(total, capacity), tests, total > capacity)
 
 
 def _by_hierarchy(low: Array, high: Array, capacity: int, bits: Any) -> BodyPairs:

@@ -13,12 +13,14 @@ import numpy as np
 
 from jaxrb.collision.arcs import NormalFan
 from jaxrb.collision.gjk import Support
-from jaxrb.collision.lanes import cross, dot, first_of, gathered, heights, row, settled, unit
+from jaxrb.collision.lanes import cross, first_of, gathered, heights, row, unit
 from jaxrb.errors import WrongStructure
 from jaxrb.geometry.hull import ConvexHull
 from jaxrb.geometry.primitives import Box, Capsule, Cone, Cylinder, Ellipsoid, Sphere
 from jaxrb.geometry.shape import Shape
 from jaxrb.math.arrays import Array, Scalar
+from jaxrb.math.settled import settled
+from jaxrb.math.vector import dot_of as dot
 
 POLYTOPES = (Sphere, Capsule, Box, ConvexHull)
 SMOOTH = (Ellipsoid, Cylinder, Cone)

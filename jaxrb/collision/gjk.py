@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.collision.lanes import cross, dot, settled
+from jaxrb.collision.lanes import cross
+from jaxrb.math.settled import settled
+from jaxrb.math.vector import dot_of as dot
 
 # (3, L) directions to support points (3, L) and their numbers (L,).
 Support = Callable[[Any], tuple[Any, Any]]

@@ -11,17 +11,14 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from jaxrb.math.vector import cross_of, dot_of
+
 LANES = 128
-
-
-def dot(a: Any, b: Any) -> Any:
-    """a · b, shapes (3, ...)."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Any, b: Any) -> jax.Array:
     """a × b, shapes (3, ...)."""
-    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return jnp.stack(cross_of(a, b))
 
 
 def heights(points: Any, direction: Any) -> Any:
@@ -31,7 +28,7 @@ def heights(points: Any, direction: Any) -> Any:
 
 def unit(vector: Any) -> Any:
     """v / |v|, shapes (3, ...); the zero vector stays zero."""
-    squared = dot(vector, vector)
+    squared = dot_of(vector, vector)
     return vector / jnp.sqrt(jnp.where(squared > 0, squared, 1.0))
 
 
@@ -53,17 +50,3 @@ def gathered(table: Any, numbers: Any) -> Any:
     if numbers.shape[1] != table.shape[1]:
         return table[numbers[:, 0]]
     return jnp.take_along_axis(table, numbers, axis=0, mode="promise_in_bounds")
-
-
-def settled(values: Any) -> Any:
-    """The same arrays, computed once and stored.
-
-    The compiler would otherwise form them again in every loop that reads them: `optimization_barrier` does not stop
-    it, a branch that it cannot foresee does. The other branch is never taken.
-    """
-    if not isinstance(values, tuple):
-        return settled((values,))[0]
-    probe = jax.tree.leaves(values)[0].ravel()[0]
-    return lax.cond(
-        (probe <= 0) | ~(probe <= 0), lambda x: x, lambda x: jax.tree.map(jnp.negative, x), values
-    )

@@ -50,11 +50,11 @@ def _separation(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> C
     """Compiled as one also where it is called on its own: loops would be compiled anew at each call."""
     if isinstance(shape_a, Composite):
         return closed_forms.composite(
-            [_separation(s, _part(pose_a, p), shape_b, pose_b) for s, p in shape_a.parts]
+            [_separation(s, pose_a.compose(p), shape_b, pose_b) for s, p in shape_a.parts]
         )
     if isinstance(shape_b, Composite):
         return closed_forms.composite(
-            [_separation(shape_a, pose_a, s, _part(pose_b, p)) for s, p in shape_b.parts]
+            [_separation(shape_a, pose_a, s, pose_b.compose(p)) for s, p in shape_b.parts]
         )
     if isinstance(shape_a, HalfSpace) and isinstance(shape_b, HalfSpace):
         raise WrongStructure("separation: two half-spaces are no pair; both are without end and stand still")
@@ -73,12 +73,6 @@ def _separation(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> C
     one, other = (jax.tree.map(chosen, p, q) for p, q in ((second, first), (first, second)))
     contact = _ordered(one[0], one[1], other[0], other[1], swap)
     return jax.tree.map(lambda x, y: jnp.where(swap, x, y), contact.flipped(), contact)
-
-
-def _part(pose: Pose, part: Pose) -> Pose:
-    turned = type(pose.orientation).from_rotation(part.orientation)
-    position = jnp.asarray(pose.position) + pose.orientation.rotate(jnp.asarray(part.position))
-    return Pose(position, pose.orientation @ turned)
 
 
 _ORDER = (HalfSpace, Box, Sphere, Capsule)

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxrb.collision.gjk import Support
-from jaxrb.collision.lanes import cross, dot, first_of, row, unit
+from jaxrb.collision.lanes import cross, first_of, row, unit
+from jaxrb.math.vector import dot_of as dot
 
 
 def tangents(normal: Any) -> tuple[Any, Any]:

@@ -5,13 +5,13 @@ separates them, and the axis of least overlap is the shortest way out. Everythin
 axis.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
 from jaxrb.geometry.bounds import OrientedBox
 from jaxrb.math.arrays import Array, Scalar, Vector, components, entries, stack
-from jaxrb.math.vector import matmul, matvec
+from jaxrb.math.vector import dot_of, matmul, matvec
 
 
 def separation_of_boxes(
@@ -27,28 +27,41 @@ def separation_of_boxes(
         rotation, translation: (..., 3, 3) and (..., 3) [m], they place box b in the frame of box a.
     """
     r, t = entries(rotation), components(translation)
-    a, b = components(half_a), components(half_b)
-    size = [[jnp.abs(x) for x in line] for line in r]
-    in_b = [t[0] * r[0][j] + t[1] * r[1][j] + t[2] * r[2][j] for j in range(3)]
+    in_b = [dot_of(t, column) for column in zip(*r)]
     zero = jnp.zeros_like(t[0])
     # Products of edges this nearly parallel say nothing that the faces do not.
     least = 64 * jnp.finfo(zero.dtype).eps
     best: Any = jnp.full_like(zero, -jnp.inf)
     axis = (zero, zero, zero)
-
-    def offer(gap: Any, side: Any, proposed: Any) -> None:
-        nonlocal best, axis
+    found = fifteen_axes(components(half_a), components(half_b), r, t, in_b, least)
+    for number, (gap, side, scale) in enumerate(found):
         better = gap > best
         best = jnp.where(better, gap, best)
         sign = jnp.where(side < 0, -1.0, 1.0)
-        axis = tuple(jnp.where(better, sign * p, x) for p, x in zip(proposed, axis))
+        axis = tuple(jnp.where(better, sign * p, x) for p, x in zip(_direction(number, r, scale), axis))
+    return best, stack(*axis)
 
-    for i in range(3):
-        reach = a[i] + b[0] * size[i][0] + b[1] * size[i][1] + b[2] * size[i][2]
-        offer(jnp.abs(t[i]) - reach, t[i], [zero + float(i == k) for k in range(3)])
-    for j in range(3):
-        reach = b[j] + a[0] * size[0][j] + a[1] * size[1][j] + a[2] * size[2][j]
-        offer(jnp.abs(in_b[j]) - reach, in_b[j], [r[k][j] for k in range(3)])
+
+class Axis(NamedTuple):
+    """One of the fifteen: the `gap` [m] along it, a number with the sign of the `side` on which b lies, and by what the
+    product of two edges is to be multiplied to be a unit vector."""
+
+    gap: Scalar
+    side: Scalar
+    scale: Any
+
+
+def fifteen_axes(half_a: Any, half_b: Any, r: Any, t: Any, in_b: Any, least: Any) -> list[Axis]:
+    """The axes of all faces of a (0–2) and b (3–5) and of the products of their edges (6 + 3i + j), by components.
+
+    `r[i][j]` is edge i of a · edge j of b; `t` and `in_b` the way from a to b along the edges of each. Products shorter
+    than √`least` have a gap of −∞.
+    """
+    a, b = half_a, half_b
+    size = [[jnp.abs(x) for x in line] for line in r]
+    found = [Axis(jnp.abs(t[i]) - (a[i] + dot_of(b, size[i])), t[i], 1.0) for i in range(3)]
+    for j, column in enumerate(zip(*size)):
+        found.append(Axis(jnp.abs(in_b[j]) - (b[j] + dot_of(a, column)), in_b[j], 1.0))
     for i in range(3):
         i1, i2 = (i + 1) % 3, (i + 2) % 3
         for j in range(3):
@@ -56,12 +69,23 @@ def separation_of_boxes(
             squared = r[i1][j] * r[i1][j] + r[i2][j] * r[i2][j]
             usable = squared > least
             scale = 1.0 / jnp.sqrt(jnp.where(usable, squared, 1.0))
-            gap = t[i2] * r[i1][j] - t[i1] * r[i2][j]
+            side = t[i2] * r[i1][j] - t[i1] * r[i2][j]
             reach = a[i1] * size[i2][j] + a[i2] * size[i1][j] + b[j1] * size[i][j2] + b[j2] * size[i][j1]
-            proposed = [zero, zero, zero]
-            proposed[i1], proposed[i2] = -r[i2][j] * scale, r[i1][j] * scale
-            offer(jnp.where(usable, (jnp.abs(gap) - reach) * scale, -jnp.inf), gap, proposed)
-    return best, stack(*axis)
+            found.append(Axis(jnp.where(usable, (jnp.abs(side) - reach) * scale, -jnp.inf), side, scale))
+    return found
+
+
+def _direction(number: int, r: Any, scale: Any) -> list[Any]:
+    """Components of an axis in the frame of a."""
+    if number < 3:
+        return [float(number == k) for k in range(3)]
+    if number < 6:
+        return [r[k][number - 3] for k in range(3)]
+    i, j = divmod(number - 6, 3)
+    i1, i2 = (i + 1) % 3, (i + 2) % 3
+    proposed: list[Any] = [0.0, 0.0, 0.0]
+    proposed[i1], proposed[i2] = -r[i2][j] * scale, r[i1][j] * scale
+    return proposed
 
 
 def oriented_boxes_gap(a: OrientedBox, b: OrientedBox) -> Scalar:

@@ -9,10 +9,12 @@ from jax import lax
 from jaxrb.collision import cores
 from jaxrb.collision.arcs import depth_by_arcs
 from jaxrb.collision.gjk import Simplex, Support, gjk
-from jaxrb.collision.lanes import cross, dot, first_of, settled, unit
+from jaxrb.collision.lanes import cross, first_of, unit
 from jaxrb.collision.newton import along_edge, best_of_many, newton
 from jaxrb.geometry.shape import Shape
 from jaxrb.math.arrays import Array
+from jaxrb.math.settled import settled
+from jaxrb.math.vector import dot_of as dot
 
 
 class Found(NamedTuple):

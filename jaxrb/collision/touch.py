@@ -93,10 +93,10 @@ def _touching(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> Man
         turned = _touching(shape_b, pose_b, shape_a, pose_a)
         return turned._replace(normal=-turned.normal)
     if isinstance(shape_a, Composite):
-        parts = [_touching(s, _placed(pose_a, p), shape_b, pose_b) for s, p in shape_a.parts]
+        parts = [_touching(s, pose_a.compose(p), shape_b, pose_b) for s, p in shape_a.parts]
         return _nearest(parts, count)
     if isinstance(shape_b, Composite):
-        parts = [_touching(shape_a, pose_a, s, _placed(pose_b, p)) for s, p in shape_b.parts]
+        parts = [_touching(shape_a, pose_a, s, pose_b.compose(p)) for s, p in shape_b.parts]
         return _side_by_side(parts) if isinstance(shape_a, HalfSpace) else _nearest(parts, count)
     if isinstance(shape_a, HalfSpace) and type(shape_b) in STANDING:
         return touch_plane(shape_a, pose_a, shape_b, pose_b)
@@ -117,11 +117,6 @@ def _searched(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> Man
 
     contact = separation(shape_a, pose_a, shape_b, pose_b)
     return manifold(contact, shape_a, pose_a, shape_b, pose_b, capacity=_OTHERS, margin=jnp.inf)
-
-
-def _placed(pose: Pose, part: Pose) -> Pose:
-    turned = type(pose.orientation).from_rotation(part.orientation)
-    return Pose(pose.position + pose.orientation.rotate(part.position), pose.orientation @ turned)
 
 
 def _named(parts: list[Manifold]) -> list[Manifold]:

@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxrb.collision.manifold import Manifold
+from jaxrb.collision.obb import fifteen_axes
 from jaxrb.collision.touch_clip import PLACES, Quad, four_corners
-from jaxrb.collision.touch_settled import settled
 from jaxrb.geometry.primitives import Box, Pose
 from jaxrb.math.arrays import Array, Scalar, components, entries, stack
+from jaxrb.math.settled import settled
+from jaxrb.math.vector import cross_of, dot_of
 
 # An axis replaces those before it only where it is better by this share of the boxes' half edges added up: of two boxes
 # at rest the same face stays the reference, and no crossing of edges takes the place of a face by round-off.
@@ -50,7 +52,7 @@ def touch_boxes(box_a: Box, pose_a: Pose, box_b: Box, pose_b: Pose) -> Manifold:
     of_b, crossed = (code >= 3) & (code < 6), code >= 6
     faces = settled(_faces(code, of_b, half_a, axes_a, half_b, axes_b, apart))
     u, w = faces.across
-    local = [tuple(_dot(v, e) for e in faces.axes) for v in (faces.middle, u, w)]
+    local = [tuple(dot_of(v, e) for e in faces.axes) for v in (faces.middle, u, w)]
     local[0] = (*local[0][:2], local[0][2] - faces.half[2])
     corners = four_corners(Quad(local[0], local[1], local[2], faces.half[:2]), gap)
     crossing = _crossing(code, half_a, axes_a, half_b, axes_b, apart)
@@ -79,14 +81,6 @@ def touch_boxes(box_a: Box, pose_a: Pose, box_b: Box, pose_b: Pose) -> Manifold:
     )
 
 
-def _dot(a: Any, b: Any) -> Scalar:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a: Any, b: Any) -> Any:
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-
-
 def _third(number: Array, choices: Any) -> Any:
     """One of three scalars, or of three equal tuples of them, by a whole number."""
     if isinstance(choices[0], tuple):
@@ -102,24 +96,12 @@ def _turned_to(number: Array, choices: Any) -> Any:
 
 def _best_axis(half_a: Any, axes_a: Any, half_b: Any, axes_b: Any, apart: Any) -> tuple[Array, Scalar]:
     """Number of the axis of the largest gap, and the gap [m]: 0–2 faces of a, 3–5 of b, 6–14 edges 6 + 3i + j."""
-    r = [[_dot(p, q) for q in axes_b] for p in axes_a]
-    size = [[jnp.abs(x) for x in row] for row in r]
-    t, in_b = [_dot(apart, p) for p in axes_a], [_dot(apart, q) for q in axes_b]
-    a, b = half_a, half_b
-    preference = _PREFERENCE * (a[0] + a[1] + a[2] + b[0] + b[1] + b[2])
-    gaps = [jnp.abs(t[i]) - (a[i] + _dot(b, size[i])) for i in range(3)]
-    gaps += [jnp.abs(in_b[j]) - (b[j] + _dot(a, [row[j] for row in size])) for j in range(3)]
+    r = [[dot_of(p, q) for q in axes_b] for p in axes_a]
+    t, in_b = [dot_of(apart, p) for p in axes_a], [dot_of(apart, q) for q in axes_b]
+    preference = _PREFERENCE * (sum(half_a) + sum(half_b))
     # Products of edges more parallel than this are round-off, and say nothing that the faces do not.
     least = 1024 * jnp.finfo(t[0].dtype).eps
-    for i in range(3):
-        i1, i2 = (i + 1) % 3, (i + 2) % 3
-        for j in range(3):
-            j1, j2 = (j + 1) % 3, (j + 2) % 3
-            squared = r[i1][j] * r[i1][j] + r[i2][j] * r[i2][j]
-            usable = squared > least
-            reach = a[i1] * size[i2][j] + a[i2] * size[i1][j] + b[j1] * size[i][j2] + b[j2] * size[i][j1]
-            gap = jnp.abs(t[i2] * r[i1][j] - t[i1] * r[i2][j]) - reach
-            gaps.append(jnp.where(usable, gap / jnp.sqrt(jnp.where(usable, squared, 1.0)), -jnp.inf))
+    gaps = [axis.gap for axis in fifteen_axes(half_a, half_b, r, t, in_b, least)]
     best, code = gaps[0], jnp.zeros((), jnp.int32)
     for number, gap in enumerate(gaps[1:], 1):
         better = gap > best + preference
@@ -141,10 +123,10 @@ def _faces(
     half_other = [either(p, q) for p, q in zip(half_a, half_b)]
     shift = [either(-s, s) for s in apart]
     first, second, third = _turned_to(number, own)
-    toward = _dot(third, shift) >= 0
+    toward = dot_of(third, shift) >= 0
     third = tuple(jnp.where(toward, x, -x) for x in third)
     half = _turned_to(number, half)
-    facing = [_dot(third, v) for v in other]
+    facing = [dot_of(third, v) for v in other]
     f = [jnp.abs(x) for x in facing]
     lying = jnp.where((f[0] >= f[1]) & (f[0] >= f[2]), 0, jnp.where(f[1] >= f[2], 1, 2)).astype(jnp.int32)
     below = _third(lying, facing) > 0
@@ -161,17 +143,17 @@ def _crossing(code: Array, half_a: Any, axes_a: Any, half_b: Any, axes_b: Any, a
     pair = jnp.where(code < 6, 0, code - 6)
     i, j = pair // 3, pair % 3
     along_a, along_b = _third(i, axes_a), _third(j, axes_b)
-    product = _cross(along_a, along_b)
-    squared = _dot(product, product)
+    product = cross_of(along_a, along_b)
+    squared = dot_of(product, product)
     # Parallel only where faces meet, and the answer is not used.
     squared = jnp.where(code < 6, 1.0, squared)
-    scale = jnp.where(_dot(product, apart) < 0, -1.0, 1.0) / jnp.sqrt(squared)
+    scale = jnp.where(dot_of(product, apart) < 0, -1.0, 1.0) / jnp.sqrt(squared)
     normal = tuple(scale * x for x in product)
 
     def edge(number: Array, half: Any, axes: Any, sign: float) -> Any:
         """The middle of the edge farthest along ±normal."""
         reach = [
-            jnp.where(number == k, 0.0, jnp.where(_dot(normal, axes[k]) < 0, -sign, sign) * half[k])
+            jnp.where(number == k, 0.0, jnp.where(dot_of(normal, axes[k]) < 0, -sign, sign) * half[k])
             for k in range(3)
         ]
         return [sum(reach[k] * axes[k][m] for k in range(3)) for m in range(3)]
@@ -179,6 +161,6 @@ def _crossing(code: Array, half_a: Any, axes_a: Any, half_b: Any, axes_b: Any, a
     on_a = edge(i, half_a, axes_a, 1.0)
     on_b = [x + y for x, y in zip(apart, edge(j, half_b, axes_b, -1.0))]
     between = [y - x for x, y in zip(on_a, on_b)]
-    cosine, p, q = _dot(along_a, along_b), _dot(between, along_a), _dot(between, along_b)
+    cosine, p, q = dot_of(along_a, along_b), dot_of(between, along_a), dot_of(between, along_b)
     s, t = (p - cosine * q) / squared, (cosine * p - q) / squared
     return normal, [0.5 * (on_a[m] + s * along_a[m] + on_b[m] + t * along_b[m]) for m in range(3)]

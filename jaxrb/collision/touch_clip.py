@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from jaxrb.collision.touch_settled import settled
 from jaxrb.math.arrays import Array, Scalar
+from jaxrb.math.settled import settled
 
 PLACES = 12
 # A corner this share of a side beyond the rectangle still counts as within it: boxes of one size in line, the commonest

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 
 from jaxrb.collision import closed_forms
 from jaxrb.collision.manifold import Manifold
-from jaxrb.collision.touch_settled import settled
 from jaxrb.geometry.primitives import Box, Capsule, Pose
 from jaxrb.geometry.shape import Shape
 from jaxrb.math.arrays import Array, Scalar, Vector, components, stack
 from jaxrb.math.safe import divide, safe_sqrt, unit_or
+from jaxrb.math.settled import settled
 from jaxrb.math.vector import dot, matvec
 
 # Capsules more parallel than this (sine squared, 0.6°) lie on each other along a line, as one lies on the face of a box

@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxrb.collision.lanes import cross, dot
+from jaxrb.collision.lanes import cross
 from jaxrb.math.arrays import Array
+from jaxrb.math.vector import dot_of as dot
 
 
 def triangles_meet(a: Array, b: Array) -> Array:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.math.arrays import Array, Scalar, Vector, components, entries, stack
-from jaxrb.math.vector import cross
+from jaxrb.math.vector import cross, cross_of
 
 
 class Incidence(eqx.Module):
@@ -25,11 +25,6 @@ class Incidence(eqx.Module):
     first: Array
     second: Array
     count: int = eqx.field(static=True)
-
-    @property
-    def blocks(self) -> int:
-        """Number of blocks."""
-        return len(self.lone) + len(self.first)
 
     def take(self, motion: Array) -> tuple[Array, Array | None]:
         """Rows (blocks, k) of the bodies that are pushed, and rows (p, k) of those that are pushed back."""
@@ -131,19 +126,15 @@ def _block(lever: Vector, bend: Array) -> Array:
     g = entries(bend)
     r = components(lever)
     # Columns of −r* are e × r; forces G (e × r) and their moments.
-    turned = [_cross(row, r) for row in g]  # turned[i][j]: force i for a turn about j, up to the sign
+    turned = [cross_of(row, r) for row in g]  # turned[i][j]: force i for a turn about j, up to the sign
     full: dict[tuple[int, int], Any] = {}
-    moments = [_cross(r, [turned[i][j] for i in range(3)]) for j in range(3)]
+    moments = [cross_of(r, [turned[i][j] for i in range(3)]) for j in range(3)]
     for i in range(3):
         for j in range(i + 1):
             full[i, j], full[3 + i, 3 + j] = g[i][j], -moments[j][i]
         for j in range(3):
             full[3 + i, j] = -turned[j][i]
     return jnp.sum(stack(*(full[entry] for entry in _LOWER)), axis=-2)
-
-
-def _cross(a: Any, b: Any) -> list[Any]:
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
 _LOWER = tuple((i, j) for i in range(6) for j in range(i + 1))

@@ -11,28 +11,13 @@ from jaxrb.body.state import State
 from jaxrb.collision.manifold import Manifold
 from jaxrb.collision.touch import contact_points
 from jaxrb.contact.block import Contacts, Incidence
+from jaxrb.contact.memory import Memory, recalled
+from jaxrb.contact.near import Near
 from jaxrb.contact.surfaces import Kind, Meeting, Obstacle, placed
 from jaxrb.effects.rigid_contact import RigidContact
-from jaxrb.geometry.bounds import AxisAlignedBox, bounding_box, bounding_sphere
-from jaxrb.geometry.primitives import Box, Cylinder, Pose, Sphere
-from jaxrb.geometry.shape import Shape
+from jaxrb.geometry.primitives import Pose
 from jaxrb.math.arrays import Array, Scalar
-from jaxrb.math.safe import norm
-from jaxrb.math.vector import dot
-
-# Beyond what a body moves in a step, contacts are looked for within this share of its size: a push may come.
-_SLACK = 0.01
-
-
-class Memory(eqx.Module):
-    """What the contacts of a step leave to the next, a tuple entry for each group of blocks.
-
-    `pair` (k,): which pair of the group a block was, −1 none; ascending. `feature` (k, s) and `impulse` (k, s, 3).
-    """
-
-    pair: tuple[Array, ...]
-    feature: tuple[Array, ...]
-    impulse: tuple[Array, ...]
+from jaxrb.math.compaction import first_true
 
 
 class Detected(eqx.Module):
@@ -58,7 +43,7 @@ def detect(
     found, chosen, overflow = [], [], jnp.zeros((), bool)
     # Not each body's own reach: the fastest may push any other.
     within = 2 * jnp.max(reach, initial=0.0)
-    near = _Near(kinds, state, reach) if any(meeting.crowded for meeting in meetings) else None
+    near = Near(kinds, state, reach) if any(meeting.crowded for meeting in meetings) else None
     for obstacle in obstacles:
         bodies = np.asarray(obstacle.members)
         found.append(_against(kinds[obstacle.kind], obstacle, state, bodies))
@@ -70,63 +55,17 @@ def detect(
         found.append(points)
         chosen.append(pair)
         overflow = overflow | short | more
-    contacts = _joined(rules, obstacles, meetings, found, chosen, state, within, count)
+    slots = max(points.valid.shape[1] for points in found)
+    points = Manifold(*(jnp.concatenate(x) for x in zip(*(_padded(p, slots) for p in found), strict=True)))
+    contacts = _joined(rules, obstacles, meetings, points, chosen, state, within, count)
+    # A face cut off at its last edges has lost points.
+    overflow = overflow | jnp.any(points.overflow & jnp.any(contacts.active, axis=1))
     start = (
         jnp.zeros((*contacts.active.shape, 3), state.dtype)
         if memory is None
-        else _remembered(contacts, chosen, memory)
+        else recalled(contacts, chosen, memory)
     )
     return Detected(contacts, start, tuple(chosen), overflow)
-
-
-class _Near:
-    """Boxes and balls round the bodies as they may move, to choose pairs by: balls fit spheres better."""
-
-    def __init__(self, kinds: tuple[Kind, ...], state: State, reach: Scalar):
-        low = jnp.full((len(reach), 3), jnp.inf, state.dtype)
-        high, middle, radius = -low, jnp.zeros_like(low), jnp.zeros_like(reach)
-        for kind in kinds:
-            members = np.asarray(kind.members)
-            shape, pose = jax.lax.stop_gradient(placed(kind, np.arange(len(members)), state, members))
-            box = jax.vmap(bounding_box)(shape, pose)
-            slack = reach[members] + _SLACK * norm(box.high - box.low)
-            low = low.at[members].set(box.low - slack[:, None])
-            high = high.at[members].set(box.high + slack[:, None])
-            center = 0.5 * (box.low + box.high)
-            radius = radius.at[members].set(_ball_radius(shape, box) + slack)
-            middle = middle.at[members].set(center)
-        self.low, self.high, self.middle, self.radius = low, high, middle, radius
-
-    def choose(self, meeting: Meeting) -> tuple[Any, Any]:
-        """Numbers (capacity,) of the pairs whose boxes overlap, ascending, −1 beyond; whether there were more."""
-        if not meeting.crowded:
-            return np.arange(len(meeting.first)), False
-        overlap = jnp.all(
-            (self.low[meeting.first] <= self.high[meeting.second])
-            & (self.low[meeting.second] <= self.high[meeting.first]),
-            axis=-1,
-        )
-        apart = self.middle[meeting.first] - self.middle[meeting.second]
-        touch = self.radius[meeting.first] + self.radius[meeting.second]
-        return _numbers_of(overlap & (dot(apart, apart) <= touch * touch), meeting.capacity)
-
-
-def _ball_radius(shape: Shape, box: AxisAlignedBox) -> Scalar:
-    """Of balls about the middles of the boxes."""
-    if isinstance(shape, Sphere):
-        return shape.radius
-    if isinstance(shape, (Box, Cylinder)):
-        return jax.vmap(lambda s: bounding_sphere(s).radius)(shape)
-    return 0.5 * norm(box.high - box.low)
-
-
-def _numbers_of(chosen: Array, capacity: int) -> tuple[Array, Array]:
-    """Numbers (capacity,) of the true places, ascending, −1 beyond; and whether there were more."""
-    rank = jnp.cumsum(chosen, dtype=jnp.int32)
-    place = jnp.where(chosen, rank - 1, capacity)
-    numbers = jnp.full(capacity, -1, jnp.int32)
-    numbers = numbers.at[place].set(jnp.arange(len(chosen), dtype=jnp.int32), mode="drop")
-    return numbers, rank[-1] > capacity
 
 
 def _touching(points: Manifold, pair: Array, within: Scalar, capacity: int) -> tuple[Manifold, Array, Any]:
@@ -134,11 +73,11 @@ def _touching(points: Manifold, pair: Array, within: Scalar, capacity: int) -> t
     if len(pair) <= capacity:
         return points, pair, False
     near = jnp.any(points.valid & (points.distance <= within), axis=1)
-    rows, more = _numbers_of(near, capacity)
+    rows, total = first_true(near, capacity)
     kept = jax.tree.map(lambda leaf: leaf[rows], points)
     there = rows >= 0
     kept = kept._replace(valid=kept.valid & there[:, None])
-    return kept, jnp.where(there, pair[rows], -1), more
+    return kept, jnp.where(there, pair[rows], -1), total > capacity
 
 
 def _against(kind: Kind, obstacle: Obstacle, state: State, bodies: np.ndarray) -> Manifold:
@@ -171,15 +110,13 @@ def _joined(
     rules: tuple[RigidContact, ...],
     obstacles: tuple[Obstacle, ...],
     meetings: tuple[Meeting, ...],
-    found: list[Manifold],
+    points: Manifold,
     chosen: list[Array],
     state: State,
     within: Scalar,
     count: int,
 ) -> Contacts:
     """The points of all groups as blocks of equally many slots."""
-    slots = max(points.valid.shape[1] for points in found)
-    groups = [_padded(points, slots) for points in found]
     lone = tuple(i for obstacle in obstacles for i in obstacle.members)
     first, second = [], []
     for meeting, pair in zip(meetings, chosen[len(obstacles) :], strict=True):
@@ -189,7 +126,6 @@ def _joined(
     none = jnp.zeros(0, jnp.int32)
     first, second = (jnp.concatenate(side) if side else none for side in (first, second))
     incidence = Incidence(lone, first, second, count)
-    points = Manifold(*(jnp.concatenate(parts) for parts in zip(*groups, strict=True)))
     pushed, back = incidence.take(state.position)
     lever = points.position - pushed[:, None]
     back = None if back is None else points.position[len(lone) :] - back[:, None]
@@ -255,43 +191,3 @@ def _combined(rule: str, a: Array, b: Array) -> Array:
         "larger": lambda: jnp.maximum(a, b),
         "product": lambda: a * b,
     }[rule]()
-
-
-def first_memory(
-    obstacles: tuple[Obstacle, ...], meetings: tuple[Meeting, ...], slots: int, dtype: Any
-) -> Memory:
-    """The memory of no contact."""
-    sizes = [len(obstacle.members) for obstacle in obstacles] + [meeting.touching for meeting in meetings]
-    return Memory(
-        tuple(jnp.full(size, -1, jnp.int32) for size in sizes),
-        tuple(jnp.full((size, slots), -1, jnp.int32) for size in sizes),
-        tuple(jnp.zeros((size, slots, 3), dtype) for size in sizes),
-    )
-
-
-def _remembered(contacts: Contacts, chosen: list[Array], memory: Memory) -> Array:
-    """The impulse that each point had in the last step: that of the same feature of the same pair, else zero."""
-    parts, at = [], 0
-    for now, then, feature, impulse in zip(chosen, memory.pair, memory.feature, memory.impulse, strict=True):
-        own = contacts.feature[at : at + len(now)]
-        at += len(now)
-        row = jnp.clip(
-            jnp.searchsorted(jnp.where(then < 0, jnp.iinfo(jnp.int32).max, then), now), 0, len(then) - 1
-        )
-        same_pair = (then[row] == now) & (now >= 0)
-        same = (
-            (own[:, :, None] == feature[row][:, None, :]) & same_pair[:, None, None] & (own >= 0)[:, :, None]
-        )
-        parts.append(jnp.sum(jnp.where(same[..., None], impulse[row][:, None], 0.0), axis=2))
-    return jnp.concatenate(parts)
-
-
-def remembered(detected: Detected, impulse: Array) -> Memory:
-    """What to leave to the next step."""
-    feature, impulses, at = [], [], 0
-    for pair in detected.chosen:
-        rows = slice(at, at + len(pair))
-        feature.append(detected.contacts.feature[rows])
-        impulses.append(impulse[rows])
-        at += len(pair)
-    return Memory(detected.chosen, tuple(feature), tuple(impulses))

@@ -29,15 +29,14 @@ class Course(eqx.Module):
     shift: Array
     impulse: Vector
 
-    def after(self, problem: Problem, found: Solution, weight: Scalar, last: Array | None) -> "Course":
-        """With the impulses of a solve, each acting for the last `weight` (k, s) [s] of the step."""
+    def after(self, problem: Problem, found: Solution, weight: Scalar) -> "Course":
+        """With the impulses of a solve, each acting for the last `weight` (k, s), or (), [s] of the step."""
         c = problem.contacts
         jump = problem.response(c.impulse_on_bodies(found.impulse))
-        if last is None:
-            return Course(
-                self.jump + jump, self.shift + weight.ravel()[0] * jump, self.impulse + found.impulse
-            )
-        shift = problem.response(c.impulse_on_bodies(weight[..., None] * found.impulse))
+        if jnp.ndim(weight) == 0:
+            shift = weight * jump
+        else:
+            shift = problem.response(c.impulse_on_bodies(weight[..., None] * found.impulse))
         return Course(self.jump + jump, self.shift + shift, self.impulse + found.impulse)
 
 

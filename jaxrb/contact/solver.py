@@ -15,12 +15,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.collision.touch_settled import settled
 from jaxrb.contact.law import curvature
 from jaxrb.contact.linear import conjugate_gradients, inverted, multiplied
 from jaxrb.contact.problem import Problem
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.safe import divide
+from jaxrb.math.settled import settled
 from jaxrb.math.vector import dot
 
 
@@ -38,21 +38,17 @@ def default_tolerance(dtype: Any) -> float:
     return 1e-8 if jnp.finfo(dtype).bits == 64 else 1e-4
 
 
+_NEWTON_STEPS, _PRODUCTS = 60, 100  # the most steps of Newton, and products of the matrix in each
 _ROUGH, _EXACT = 1e-2, 1e-6  # relative errors of Newton's direction
-
-
-# The most steps of Newton, and products of the matrix in each.
-_NEWTON_STEPS, _PRODUCTS = 60, 100
-_POOR = 1e-2
 _SOFT = 1e-2  # compliance where the start is far from the answer
+_POOR = 1e-2  # residual over what contact takes away from which on a solve is called poor
 
 
 class Solution(eqx.Module):
     """`motion` (n, 6), `impulse` (k, s, 3) [N s] in W, and how it went.
 
-    `residual` [m/s]: how far the impulses are from the law, as a velocity; `poor` whether that is above 1 % of what it
-    takes away;
-    `newton_steps` and `products` of the system's matrix taken.
+    `residual` [m/s]: how far the impulses are from the law, as a velocity; `poor`: whether that is above 1 % of what it
+    takes away. `newton_steps` and `products` of the system's matrix: how many were taken.
     """
 
     motion: Array

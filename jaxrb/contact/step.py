@@ -10,19 +10,18 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 from jaxrb.body.state import State
-from jaxrb.contact.detection import Detected, Memory, detect, first_memory, remembered
+from jaxrb.contact.detection import Detected, detect
 from jaxrb.contact.impact import Course, closing, first_course, impact_scale
 from jaxrb.contact.implicit import solve
+from jaxrb.contact.memory import Memory, first_memory, remembered
 from jaxrb.contact.problem import Problem
 from jaxrb.contact.report import ContactReport, first_report, reported
 from jaxrb.contact.solver import Solution, default_tolerance
 from jaxrb.contact.surfaces import Kind, Meeting, Obstacle
 from jaxrb.effects.rigid_contact import RigidContact
-from jaxrb.geometry.bounds import bounding_box
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.safe import norm
 from jaxrb.math.vector import dot, matvec
@@ -45,6 +44,7 @@ class ContactStep(eqx.Module):
     rules: tuple[RigidContact, ...]
     kinds: tuple[Kind, ...]
     obstacles: tuple[Obstacle, ...]
+    radius: Scalar  # (n,) [m] of a ball about each centre of mass that holds the shape
     meetings: tuple[Meeting, ...] = eqx.field(static=True)
     count: int = eqx.field(static=True)
 
@@ -69,7 +69,8 @@ class ContactStep(eqx.Module):
             course, found = self._rounds(problem, start, detected.start, dt)
         new = self._moved(dynamics, old, free, problem, course, found, spin, dt)
         report = reported(carried.report, problem, start, course, found)
-        return new, Carried(remembered(detected, found.impulse), report.noting(detected.overflow))
+        memory = remembered(detected.contacts, detected.chosen, found.impulse)
+        return new, Carried(memory, report.noting(detected.overflow))
 
     def _detected(self, state: State, reach: Scalar, memory: Memory | None) -> Detected:
         return detect(self.rules, self.kinds, self.obstacles, self.meetings, state, reach, memory)
@@ -91,7 +92,7 @@ class ContactStep(eqx.Module):
             dynamics.inverse_mass,
             inverse,
             motion,
-            dt,
+            self._tolerance(motion.dtype, None),
         )
         return problem, spin
 
@@ -115,7 +116,7 @@ class ContactStep(eqx.Module):
         """One solve: of impacts, or at `last` (None: there is no other) of all that rests on each other."""
         c = problem.contacts
         left = c.distance + dot(c.relative_velocity(course.shift - dt * course.jump), c.normal[:, None])
-        bias, active, weight = self._bias(left, dt), c.active, jnp.full_like(left, dt)
+        bias, active, weight = self._bias(left, dt), c.active, dt
         if last is not None:
             hit, target, remaining = closing(problem, course, start, dt)
             # Who still comes in fast after the last round of impacts is left to the next step.
@@ -135,7 +136,7 @@ class ContactStep(eqx.Module):
             scale = jnp.where(last, 1.0, impact_scale(own, found, weight, start, problem.free, dt))
             impulse = scale * found.impulse
             found = eqx.tree_at(lambda f: f.impulse, found, impulse)
-        return course.after(own, found, weight, last), found
+        return course.after(own, found, weight), found
 
     def _rounds(self, problem: Problem, start: Array, warm: Vector, dt: Scalar) -> tuple[Course, Solution]:
         def one(course: Course, last: Array) -> tuple[Course, Solution]:
@@ -152,12 +153,7 @@ class ContactStep(eqx.Module):
         """How far (n,) [m] any point of each body can move in the step."""
         speed = jnp.maximum(norm(old.velocity), norm(free.velocity))
         turning = jnp.maximum(norm(old.angular_velocity), norm(free.angular_velocity))
-        radii = jnp.zeros(self.count, old.dtype)
-        for kind in self.kinds:
-            box = jax.vmap(bounding_box)(kind.shape)
-            far = jnp.maximum(jnp.abs(box.low - kind.center), jnp.abs(box.high - kind.center))
-            radii = radii.at[np.asarray(kind.members)].set(norm(far))
-        return lax.stop_gradient(dt * (speed + turning * radii))
+        return lax.stop_gradient(dt * (speed + turning * self.radius))
 
     def _moved(
         self,

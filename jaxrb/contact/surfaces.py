@@ -13,10 +13,12 @@ from jaxrb.effects.effect import Effect
 from jaxrb.effects.fixed_point import FixedPoint
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.errors import WrongStructure
+from jaxrb.geometry.bounds import bounding_box
 from jaxrb.geometry.mesh import TriangleMesh
 from jaxrb.geometry.primitives import HalfSpace, Pose
 from jaxrb.geometry.shape import Shape
-from jaxrb.math.arrays import Array, Vector
+from jaxrb.math.arrays import Array, Scalar, Vector
+from jaxrb.math.safe import norm
 
 # Pairs a body, half of its neighbours: of spheres none has more than 12, boxes in a pile have 4 to 6.
 _NEAR, _TOUCHING = 6, 3
@@ -92,7 +94,7 @@ def contact_of(bodies: tuple[Body, ...], effects: tuple[Effect, ...]) -> Any:
             obstacles += [Obstacle(number, k, members, shape, pose) for k, members in own]
     if not obstacles and not meetings:
         return None
-    return ContactStep(rules, tuple(kinds), tuple(obstacles), tuple(meetings), count)
+    return ContactStep(rules, tuple(kinds), tuple(obstacles), _radii(kinds, count), tuple(meetings), count)
 
 
 def _kinds(bodies: tuple[Body, ...], wanted: set[int]) -> list[Kind]:
@@ -121,6 +123,16 @@ def _kinds(bodies: tuple[Body, ...], wanted: set[int]) -> list[Kind]:
     return kinds
 
 
+def _radii(kinds: list[Kind], count: int) -> Scalar:
+    """Of balls (count,) [m] about the centres of mass that hold the shapes."""
+    radii = jnp.zeros(count)
+    for kind in kinds:
+        box = jax.vmap(bounding_box)(kind.shape)
+        far = jnp.maximum(jnp.abs(box.low - kind.center), jnp.abs(box.high - kind.center))
+        radii = radii.at[np.asarray(kind.members)].set(norm(far))
+    return radii
+
+
 def _check_shape(body: Body, number: int) -> None:
     name = f"body {number} ({body.name!r})"
     if not isinstance(body.shape, Shape):
@@ -143,11 +155,10 @@ def _meetings(
     together = []
     for at, (k, members) in enumerate(own):
         for other, others in own[at:]:
-            pairs = [
-                (i, j) for i in members for j in others if (i < j or k != other) and rule.may_touch(i, j)
-            ]
-            if pairs:
-                together.append((k, other, np.asarray(pairs, np.int32).reshape(-1, 2)))
+            first, second = (side.ravel() for side in np.meshgrid(members, others, indexing="ij"))
+            chosen = rule.may_touch(first, second) & ((first < second) | (k != other))
+            if chosen.any():
+                together.append((k, other, np.stack([first[chosen], second[chosen]], 1).astype(np.int32)))
     total = sum(len(pairs) for *_, pairs in together)
     near = min(total, rule.capacity or _NEAR * count)
     touching = min(total, rule.capacity or _TOUCHING * count)

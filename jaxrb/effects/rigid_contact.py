@@ -75,14 +75,12 @@ class RigidContact(Effect):
         """Numbers of the bodies that take part."""
         return tuple(range(count)) if self.bodies is None else tuple(sorted(self.bodies))
 
-    def may_touch(self, first: int, second: int) -> bool:
-        """Whether the groups and masks let two bodies touch."""
-        groups = self.groups
-        masks = self.masks
-        own = [
-            (-1 if groups is None else groups[i], -1 if masks is None else masks[i]) for i in (first, second)
-        ]
-        return bool(own[0][0] & own[1][1]) and bool(own[1][0] & own[0][1])
+    def may_touch(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Whether the groups and masks let bodies (k,) and (k,) touch."""
+        all_bits = np.asarray(-1)
+        groups, masks = (all_bits if bits is None else np.asarray(bits) for bits in (self.groups, self.masks))
+        group, mask = ((lambda i, b=b: b[i] if b.ndim else b) for b in (groups, masks))
+        return ((group(first) & mask(second)) != 0) & ((group(second) & mask(first)) != 0)
 
 
 def _obstacles(against: Any) -> tuple[tuple[Shape, Pose | None], ...] | None:

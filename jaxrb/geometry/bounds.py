@@ -76,7 +76,7 @@ def bounding_box(shape: Shape, pose: Pose | None = None) -> AxisAlignedBox:
     Exact, and differentiable in shape and pose. Unbounded shapes reach to infinity.
     """
     if isinstance(shape, Composite):
-        boxes = [bounding_box(part, _composed(pose, own)) for part, own in shape.parts]
+        boxes = [bounding_box(part, own if pose is None else pose.compose(own)) for part, own in shape.parts]
         low = functools.reduce(jnp.minimum, [box.low for box in boxes])
         return AxisAlignedBox(low, functools.reduce(jnp.maximum, [box.high for box in boxes]))
     if isinstance(shape, TriangleMesh):
@@ -235,10 +235,3 @@ def _outline(shape: Shape) -> np.ndarray:
 
 def _placed(points: np.ndarray, pose: Pose) -> np.ndarray:
     return points @ np.asarray(pose.orientation.as_matrix(), float).T + np.asarray(pose.position, float)
-
-
-def _composed(outer: Pose | None, inner: Pose) -> Pose:
-    if outer is None:
-        return inner
-    position = outer.position + outer.orientation.rotate(jnp.asarray(inner.position))
-    return Pose(position, outer.orientation @ type(outer.orientation).from_rotation(inner.orientation))

@@ -153,6 +153,12 @@ class Pose(eqx.Module):
         """The frame itself."""
         return cls(jnp.zeros(3, dtype), Quaternion.identity(dtype))
 
+    def compose(self, inner: "Pose") -> "Pose":
+        """Where a frame stands that has the pose `inner` in this one."""
+        turned = type(self.orientation).from_rotation(inner.orientation)
+        position = jnp.asarray(self.position) + self.orientation.rotate(jnp.asarray(inner.position))
+        return Pose(position, self.orientation @ turned)
+
 
 class Composite(Shape):
     """Several shapes joined rigidly: pairs of a shape and its `Pose` in the composite's frame.

@@ -1,22 +1,30 @@
 """Products of 3-vectors and 3×3 matrices by components, and the star operator."""
 
+from typing import Any
+
 import jax.numpy as jnp
 
 from jaxrb.math.arrays import Matrix, Scalar, Vector, components, entries, from_entries, stack
 
 
+def dot_of(a: Any, b: Any) -> Any:
+    """a · b of three components each, of any shape."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross_of(a: Any, b: Any) -> tuple[Any, Any, Any]:
+    """The components of a × b, of three components each."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
 def dot(a: Vector, b: Vector) -> Scalar:
     """a · b, shapes (..., 3)."""
-    a1, a2, a3 = components(a)
-    b1, b2, b3 = components(b)
-    return a1 * b1 + a2 * b2 + a3 * b3
+    return dot_of(components(a), components(b))
 
 
 def cross(a: Vector, b: Vector) -> Vector:
     """a × b, shapes (..., 3)."""
-    a1, a2, a3 = components(a)
-    b1, b2, b3 = components(b)
-    return stack(a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1)
+    return stack(*cross_of(components(a), components(b)))
 
 
 def rate_in_world(rate_in_body: Vector, angular_velocity: Vector, vector: Vector) -> Vector:

@@ -15,7 +15,7 @@ from jaxrb.math.arrays import Array, Scalar
 from jaxrb.scene import adams_lanes as lanes
 from jaxrb.scene.adams_pilot import Found, Problem, planned
 from jaxrb.scene.path import Path
-from jaxrb.scene.scene import Scene, check_fit
+from jaxrb.scene.scene import Scene, check_fit, refuse_contact
 from jaxrb.scene.settings import ON_ERROR, applied_torque, check_choice, check_count, check_tolerance
 from jaxrb.scene.solve import _times as run_times
 from jaxrb.scene.status import NOT_A_ROTATION, NOT_FINITE, OK, STOPPED_EARLY, Status
@@ -89,6 +89,7 @@ def solve_smooth(
             below the round-off of the state's type.
     """
     check_fit(scene, state)
+    refuse_contact(scene, "solve_smooth", "use rb.rollout")
     check_choice("on_error", on_error, ON_ERROR)
     tolerance = _tolerance(tolerance, state)
     scheme = _scheme(order, tolerance)

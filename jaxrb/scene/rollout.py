@@ -17,7 +17,7 @@ from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.scene.certificate import certificate_of
 from jaxrb.scene.path import Path
 from jaxrb.scene.reversible import reversible_steps
-from jaxrb.scene.scene import Scene, check_fit
+from jaxrb.scene.scene import Scene, check_fit, refuse_contact
 from jaxrb.scene.settings import (
     DEFAULT_MAX_BYTES,
     ON_ERROR,
@@ -67,6 +67,10 @@ def rollout(
         raise InvalidInput(f"steps is {steps}, but one rollout counts to 2^31 − 1; continue from path.final")
     torque = applied_torque(torque, state, steps)
     check_adjoint(adjoint, method, torque)
+    if adjoint == "reversible":
+        refuse_contact(
+            scene, "adjoint='reversible'", "use adjoint='checkpoint': no impact can be run backwards"
+        )
     warn_of_coarse_steps(scene, state, dt, method)
     times, states, final, status, contact = _run(
         scene,

@@ -14,6 +14,7 @@ from jaxrb.contact import contact_of
 from jaxrb.effects.dynamics import Dynamics, prepare
 from jaxrb.effects.effect import Effect
 from jaxrb.effects.fixed_point import FixedPoint
+from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.math.quaternion import Quaternion
@@ -118,6 +119,14 @@ def check_fit(scene: Scene, state: State) -> None:
         if len(shape) == 3:
             mend = "this looks like a batch of worlds: use jax.vmap over them"
         raise WrongStructure(f"state: positions {shape} do not fit a scene of {scene.count} bodies; {mend}")
+
+
+def refuse_contact(scene: Scene, where: str, mend: str) -> None:
+    """Refuse a scene with rigid contact: where only forces act, its bodies would fall through the floor."""
+    if any(isinstance(effect, RigidContact) for effect in scene.effects):
+        raise WrongStructure(
+            f"{where}: RigidContact acts by impulses between steps, which {where} does not take; {mend}"
+        )
 
 
 @jax.jit

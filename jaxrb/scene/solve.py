@@ -12,7 +12,7 @@ from jaxrb.errors import InvalidInput, WrongStructure
 from jaxrb.integrators.method import Rates, rates
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.scene.path import Path
-from jaxrb.scene.scene import Scene, check_fit
+from jaxrb.scene.scene import Scene, check_fit, refuse_contact
 from jaxrb.scene.settings import ON_ERROR, applied_torque, check_choice, check_count, check_tolerance
 from jaxrb.scene.status import NOT_FINITE, OK, STOPPED_EARLY, Status, sound
 
@@ -47,6 +47,7 @@ def solve(
     import diffrax  # not at the top: importing it takes longer than the rest of jaxrb
 
     check_fit(scene, state)
+    refuse_contact(scene, "solve", "use rb.rollout")
     check_choice("on_error", on_error, ON_ERROR)
     check_tolerance("rtol", rtol)
     check_tolerance("atol", atol)

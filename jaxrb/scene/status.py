@@ -12,11 +12,15 @@ from jaxrb.errors import RunFailed
 from jaxrb.math.arrays import Array
 
 OK, NOT_FINITE, NOT_A_ROTATION, STOPPED_EARLY, TOO_MANY_CONTACTS = 0, 1, 2, 3, 4
+TOO_MANY = (
+    "more contact than RigidContact has room for: too many pairs of bodies near each other (raise capacity), or a "
+    "hull's face with too many edges (merge its vertices)"
+)
 _REASONS = {
     NOT_FINITE: "the state is not finite (NaN or infinity)",
     NOT_A_ROTATION: "the orientation is no rotation any more",
     STOPPED_EARLY: "the solver stopped before the end (max_steps reached or no step small enough)",
-    TOO_MANY_CONTACTS: "more pairs of bodies are near each other than RigidContact has room for (raise capacity)",
+    TOO_MANY_CONTACTS: TOO_MANY,
 }
 
 

@@ -152,3 +152,28 @@ def test_more_pairs_than_there_is_room_for_is_said():
     assert not bool(path.status.ok)
     assert int(path.contact.overflow[-1]) == 0
     assert np.isfinite(np.asarray(path.final.position)).all()
+    with pytest.raises(rb.LimitExceeded, match="capacity"):
+        rb.step(scene, scene.state(position=heap))
+    traced = jax.jit(lambda state: rb.step(scene, state))(scene.state(position=heap))
+    assert np.isnan(np.asarray(traced.position)).all()
+
+
+@pytest.mark.parametrize(
+    ("run", "mend"),
+    [
+        (lambda scene, s: rb.solve(scene, s, t1=1.0), "rb.rollout"),
+        (lambda scene, s: rb.solve_smooth(scene, s, t1=1.0), "rb.rollout"),
+        (lambda scene, s: rb.free_flight(scene, s, 1.0), "rb.rollout"),
+        (
+            lambda scene, s: rb.rollout(
+                scene, s, dt=1e-3, steps=2, method=rb.ImplicitMidpoint(), adjoint="reversible"
+            ),
+            "checkpoint",
+        ),
+    ],
+    ids=["solve", "solve_smooth", "free_flight", "reversible"],
+)
+def test_runs_that_know_only_forces_refuse_contact(run, mend):
+    scene = rb.Scene(BALL, rb.RigidContact(FLOOR))
+    with pytest.raises(rb.WrongStructure, match=f"RigidContact.*{mend}"):
+        run(scene, scene.state(position=(0, 0, 0.2)))

@@ -1,8 +1,8 @@
 """Values computed once and kept, under any number of vmaps.
 
 XLA forms a value again in every loop that reads it where it finds that cheap, and takes whole stages for cheap: two
-boxes then cost twice as much. `lax.optimization_barrier` does not stop it; a branch that it cannot foresee does
-(`lanes.settled`). But `vmap` turns a branch on a mapped value into a choice between both sides, so here the branch is
+boxes then cost twice as much. `lax.optimization_barrier` does not stop it; a branch that it cannot foresee does. But
+`vmap` turns a branch on a mapped value into a choice between both sides, so here the branch is
 put in when the program is lowered, when all axes are known.
 """
 
