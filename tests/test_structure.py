@@ -13,6 +13,7 @@ PACKAGE = pathlib.Path(jaxrb.__file__).parent
 FLOORS = {
     "errors": -2,
     "checks": -1,
+    "compilation": -1,
     "tables": -1,
     "math": 0,
     "body": 1,

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxrb.body.state import State, finite_per_body
+from jaxrb.compilation import jit
 from jaxrb.contact import SOLVED
 from jaxrb.errors import InvalidInput
 from jaxrb.integrators.method import Method, contact_report
@@ -151,7 +152,7 @@ def _run_steps(
     return states.time, states, carry[0], status, contact
 
 
-_run = jax.jit(_run_steps, static_argnames=("steps", "save_every", "adjoint"))
+_run = jit(_run_steps, static_argnames=("steps", "save_every", "adjoint"))
 
 
 def _scan(one: Any, carry: tuple, given: Vector | None, length: int) -> tuple:

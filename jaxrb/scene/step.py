@@ -4,11 +4,11 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 
 from jaxrb.body.state import State
 from jaxrb.checks import raise_if_overflowed
+from jaxrb.compilation import jit
 from jaxrb.errors import WrongStructure
 from jaxrb.integrators.method import Method, contact_report
 from jaxrb.integrators.names import method_of
@@ -69,7 +69,7 @@ def stepper(scene: Scene, dt: float, *, method: Method | str = RungeKutta4()) ->
     return step_of_scene
 
 
-@jax.jit
+@jit
 def _step(
     scene: Scene, state: State, torque: Vector | None, dt: Scalar, method: Method
 ) -> tuple[State, Array | bool]:
