@@ -216,8 +216,8 @@ def scoreboard(*, row: str = "all", quick: bool = False, long: bool = False, jso
     Example: jaxrb scoreboard --row C --quick
 
     Args:
-        row: only this one: A, B, B-simple, C (all four of them), C-bouncing, C-rolling, C-666, C-666-elastic or E.
-        quick: rows C only for short times and one seed.
+        row: only this one: A, B, B-simple, C (all four of them), C-bouncing, C-rolling, C-666, C-666-elastic, E or F.
+        quick: rows C only for short times and one seed, F with a short fit.
         long: rows C at dt 1e-4 too (half an hour or more).
         json: print one JSON object instead of tables.
     """

@@ -24,7 +24,7 @@ _HALF, _DENSITY, _DT, _FRICTION, _GRAVITY = 0.1, 1000.0, 2e-3, 0.5, 9.81
 
 
 def rows() -> Iterator[dict[str, Any]]:
-    """One row for each workload: body-steps a CPU second of each, their ratio, overlap, and the cost of a gradient."""
+    """One row for each workload: body-steps a CPU second of each, their ratio, overlap; of one box also a gradient."""
     for boxes, worlds, steps in WORKLOADS:
         yield _row(boxes, worlds, steps)
 
@@ -49,6 +49,8 @@ def _row(boxes: int, worlds: int, steps: int) -> dict[str, Any]:
         "Newton a step": float(path.contact.newton_steps[:, -1].mean()) / steps,
         "poor steps": int(path.contact.poor[:, -1].sum()),
         "first call [CPU s]": first,
+        "gradient/run": None,
+        "its first call [CPU s]": None,
         "MuJoCo": None,
         "its overlap [mm]": None,
         "ratio": None,
@@ -60,7 +62,22 @@ def _row(boxes: int, worlds: int, steps: int) -> dict[str, Any]:
             "its overlap [mm]": 1e3 * _depth(end[..., :3], end[..., 3:]),
             "ratio": seconds[1] / seconds[0],
         }
+    if boxes == 1:
+        row |= _gradient(scene, states, steps)
     return row
+
+
+def _gradient(scene: Scene, states: Any, steps: int) -> dict[str, float]:
+    """Of where each world's box ends, by all numbers of its start: time over that of the run, and CPU time to begin."""
+
+    def end(state: Any) -> Any:
+        return _run(scene, steps, state).final.position.sum()
+
+    plain, slope = (jax.jit(jax.vmap(function)) for function in (end, jax.grad(end)))
+    first = cpu_of_first(lambda: slope(states))
+    plain(states)
+    seconds = interleaved([lambda: plain(states), lambda: slope(states)], rounds=3)
+    return {"gradient/run": seconds[1] / seconds[0], "its first call [CPU s]": first}
 
 
 def _run(scene: Scene, steps: int, state: Any) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxrb.accuracy.reference import closed_form, end_state, reference
 from jaxrb.accuracy.timing import compiled
-from jaxrb.bench import peers, simbenchmark
+from jaxrb.bench import peers, simbenchmark, tosses
 from jaxrb.bench.published import GAZEBO_BOXES, TUMBLING_BRICK
 from jaxrb.bench.rigid_body_problem import rigid_body_problem
 from jaxrb.bench.timing import both_clocks
@@ -130,6 +130,13 @@ ROWS: dict[str, Row] = {
             True,
         ),
         Row("E", "rigid-body problem of the ODE literature, t 0…10", _END, rigid_body_problem),
+        Row(
+            "F",
+            "tosses of a real cube, predicted from their first state",
+            tosses.COLUMNS,
+            tosses.tosses_row,
+            True,
+        ),
     )
 }
 

@@ -135,7 +135,8 @@ def test_energy_never_rises(runs):
         rise = np.diff(energy.astype(float), axis=1).max(axis=1) / energy[:, 0]
         # One step in two thousand finds no solution; what it then gives does no work.
         assert path.contact.poor[:, -1].max() <= 1
-        assert rise.max() <= 2e-3
+        # On the floor 2e-7 was seen; between bodies 1.1e-5, with restitution 9e-4.
+        assert rise.max() <= (1e-6 if name == "tosses" else 2e-3 if bouncing else 5e-5)
         assert (energy[:, -1] <= 1.002 * energy[:, 0]).all()
         assert path.contact.normal_work.max() <= 0.05 * energy[:, 0].max()
         elastic = (numbers["e"] == 1) & (numbers["mu"] == 0)
