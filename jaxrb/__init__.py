@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from jaxrb.accuracy.rollout import rollout
 from jaxrb.body import (
     Body,
+    Freedom,
     FullInertia,
     Inertia,
     MassProperties,
@@ -19,11 +20,14 @@ from jaxrb.body import (
     replicate,
     valid_inertia,
 )
+from jaxrb.compilation import compiler_options as compiler_options
+from jaxrb.compilation_cache import enable_compilation_cache
 from jaxrb.effects import (
     AngularSpring,
     BodyThruster,
     Buoyancy,
     CentralGravity,
+    CompliantContact,
     CustomForce,
     Effect,
     FixedPoint,
@@ -35,11 +39,13 @@ from jaxrb.effects import (
     Motor,
     MutualGravity,
     PlateAerodynamics,
+    PrescribedMotion,
     PrescribedTorque,
     QuadraticDrag,
     RigidContact,
     SpringDamper,
     UniformGravity,
+    WindField,
     Wrench,
 )
 from jaxrb.errors import (
@@ -49,6 +55,7 @@ from jaxrb.errors import (
     LimitExceeded,
     NotIdentifiable,
     RunFailed,
+    RunInterrupted,
     UnknownName,
     WrongStructure,
 )
@@ -104,15 +111,23 @@ from jaxrb.scene import (
     step,
     stepper,
 )
+from jaxrb.view.viewer import View, view
 
 if TYPE_CHECKING:
     from jaxrb.accuracy.cost import CostReport, cost
+    from jaxrb.accuracy.gradient_check import gradient_check
+    from jaxrb.accuracy.gradient_check_report import GradientCheck
     from jaxrb.accuracy.planner import Plan, plan
     from jaxrb.accuracy.recommend import Recommendation, recommend
+    from jaxrb.accuracy.smoothed_gradient import smoothed_gradient
+    from jaxrb.accuracy.smoothed_gradient_report import SmoothedGradient
     from jaxrb.collision import Contact, separation
     from jaxrb.fit import InertiaFit, RatiosNotIdentifiable, fit_inertia
-    from jaxrb.io import Recording, read_mesh, read_recording, write_recording
+    from jaxrb.io import Recording, read_mesh, read_recording, replay, run, write_recording
     from jaxrb.scene.adams import SmoothPath, solve_smooth
+    from jaxrb.scene.events import EventPath, solve_events
+    from jaxrb.scene.worlds import WorldPaths, rollout_worlds
+    from jaxrb.view.glb_animation import save_glb
 
 __version__ = "0.1.0"
 
@@ -122,8 +137,12 @@ _LATER = {
     "separation": "jaxrb.collision",
     "CostReport": "jaxrb.accuracy.cost",
     "cost": "jaxrb.accuracy.cost",
+    "GradientCheck": "jaxrb.accuracy.gradient_check_report",
+    "gradient_check": "jaxrb.accuracy.gradient_check",
     "Recommendation": "jaxrb.accuracy.recommend",
     "recommend": "jaxrb.accuracy.recommend",
+    "SmoothedGradient": "jaxrb.accuracy.smoothed_gradient_report",
+    "smoothed_gradient": "jaxrb.accuracy.smoothed_gradient",
     "Plan": "jaxrb.accuracy.planner",
     "plan": "jaxrb.accuracy.planner",
     "InertiaFit": "jaxrb.fit",
@@ -132,9 +151,16 @@ _LATER = {
     "Recording": "jaxrb.io",
     "read_mesh": "jaxrb.io",
     "read_recording": "jaxrb.io",
+    "replay": "jaxrb.io",
+    "run": "jaxrb.io",
     "write_recording": "jaxrb.io",
     "SmoothPath": "jaxrb.scene.adams",
     "solve_smooth": "jaxrb.scene.adams",
+    "WorldPaths": "jaxrb.scene.worlds",
+    "rollout_worlds": "jaxrb.scene.worlds",
+    "EventPath": "jaxrb.scene.events",
+    "solve_events": "jaxrb.scene.events",
+    "save_glb": "jaxrb.view.glb_animation",
 }
 
 

@@ -28,7 +28,9 @@ def as_array(where: str, value: Any) -> Any:
     run is prepared.
     """
     if isinstance(value, jax.Array):
-        if not np.issubdtype(value.dtype, np.floating) and value.dtype != jax.numpy.bfloat16:
+        if not jax.numpy.issubdtype(value.dtype, jax.numpy.floating):
+            if not jax.numpy.issubdtype(value.dtype, jax.numpy.integer):
+                raise InvalidInput(f"{where}: an array of {value.dtype} is none of real numbers")
             return value.astype(jax.dtypes.canonicalize_dtype(float))
         return value
     if isinstance(value, (list, tuple)) and any(not is_concrete(v) for v in jax.tree.leaves(value)):
@@ -65,6 +67,8 @@ class Checked(eqx.Module):
             where = f"{type(self).__name__}.{field.name}"
             value = getattr(self, field.name)
             if value is None:
+                if field.default is not None:
+                    raise InvalidInput(f"{where} is None, but must be a number or an array of numbers")
                 continue
             value = as_array(where, value)
             object.__setattr__(self, field.name, value)
@@ -107,8 +111,33 @@ def check_quantity(
     ):
         if bad.any():
             raise InvalidInput(
-                f"{where}{at(bad, rank)} is {array[bad].ravel()[0]!r} {unit}, but {problem}{hint}"
+                f"{where}{at(bad, rank)} is {array[bad].ravel()[0].item()!r} {unit}, but {problem}{hint}"
             )
+
+
+def check_count(name: str, value: Any, least: int) -> int:
+    """A whole number of at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise WrongStructure(f"{name}: {value!r} is not a whole number known when the program is traced")
+    if value < least:
+        raise InvalidInput(f"{name} is {value}, but must be at least {least}")
+    return int(value)
+
+
+def check_tolerance(name: str, value: Any) -> None:
+    """Refuse a tolerance outside (0, 1)."""
+    if not is_concrete(value):
+        return
+    if (
+        isinstance(value, bool)
+        or np.ndim(value) != 0
+        or not np.issubdtype(np.asarray(value).dtype, np.number)
+    ):
+        raise WrongStructure(f"{name}: {value!r} is not a number")
+    if not 0 < float(value) < 1:
+        raise InvalidInput(
+            f"{name} is {value!r}, but must lie between 0 and 1, ends excluded; 1e-6 is a good start"
+        )
 
 
 def raise_if_overflowed(overflow: Any, message: str) -> None:

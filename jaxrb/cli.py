@@ -1,4 +1,5 @@
-"""The command line: `jaxrb demo | simulate | work-precision | plan | cost | scoreboard | fit | bench | hard-cases`."""
+"""The command line: `jaxrb demo | simulate | work-precision | plan | cost | scoreboard | fit | bench | hard-cases |
+gradient-check | view`."""
 
 import importlib
 import json as json_text
@@ -94,6 +95,18 @@ def _hard_cases_command() -> Any:
     return hard_cases
 
 
+def _gradient_check_command() -> Any:
+    from jaxrb.accuracy.gradient_check_command import gradient_check_of_scene
+
+    return gradient_check_of_scene
+
+
+def _view_command() -> Any:
+    from jaxrb.view.viewer_command import view
+
+    return view
+
+
 def _command(name: str) -> Any:
     from jaxrb.bench import commands
 
@@ -110,6 +123,8 @@ COMMANDS = {
     "fit": _fit_command,
     "bench": lambda: bench,
     "hard-cases": _hard_cases_command,
+    "view": _view_command,
+    "gradient-check": _gradient_check_command,
 }
 
 

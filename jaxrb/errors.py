@@ -1,5 +1,7 @@
 """The errors and warnings of jaxrb. Every one that the library raises on purpose is a `JaxrbError`."""
 
+from typing import Any
+
 
 class JaxrbError(Exception):
     """Base of every error that jaxrb raises on purpose."""
@@ -23,6 +25,14 @@ class LimitExceeded(JaxrbError, MemoryError):
 
 class RunFailed(JaxrbError, ArithmeticError):
     """A run that left the finite numbers, or a solver that stopped early. Raised once, at the outermost call."""
+
+
+class RunInterrupted(JaxrbError, KeyboardInterrupt):
+    """A run that Ctrl-C ended: `path` holds what was done. Leaves a program as Ctrl-C does where nobody catches it."""
+
+    def __init__(self, message: str, path: Any = None):
+        super().__init__(message)
+        self.path = path
 
 
 class NotIdentifiable(JaxrbError):

@@ -19,7 +19,7 @@ if os.environ.get("JAXRB_CHECK_SHAPES") == "1":
 
     install_import_hook("jaxrb", "shape_checks.checked")
     # There numbers of wrong shapes are given on purpose; beartype would refuse them before jaxrb can say why.
-    collect_ignore = ["test_bad_input.py"]
+    collect_ignore_glob = ["test_bad_inputs_*.py"]
 
 ORACLE = pathlib.Path(__file__).resolve().parent.parent.parent / "shared" / "oracle"
 

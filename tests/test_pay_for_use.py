@@ -126,12 +126,12 @@ def test_gravity_adds_only_its_own_equations():
     empty, falling = program(rb.Scene(BRICK)), program(rb.Scene(BRICK, rb.UniformGravity()))
     added = falling - empty
     assert not empty - falling
-    # Four stages of m g and (m g)/m; 1/m once; two new stages of v for x; three sums of weighted rates for x and v.
-    per_stage = 2
-    moved_velocity, averages = 4 * 3, 2 * 3
-    assert added["mul"] == 4 * per_stage + moved_velocity + 4 * averages
-    assert added["add"] == moved_velocity + 3 * averages
-    assert added["div"] == 1
+    # Four stages of m g and (m g)/m; 1/m once; the weighted sum of the accelerations, and v by it; for x the sum of
+    # three accelerations, and v + dt/6 of it.
+    per_stage, moved_velocity, moved_position = 2, 3, 3
+    assert added["mul"] == 4 * per_stage + 4 * 3 + moved_velocity + moved_position
+    assert added["add"] == 3 * 3 + 2 * 3 + moved_velocity + moved_position
+    assert added["div"] == 2
     assert set(added) == {"mul", "add", "div"}
 
 

@@ -134,8 +134,10 @@ def test_unknown_row_lists_the_rows():
     assert [row.name for row in rows_of(None)] == list(ROWS)
 
 
-def test_row_c_means_all_four_of_simbenchmark():
-    assert [row.name for row in rows_of("c")] == ["C-bouncing", "C-rolling", "C-666", "C-666-elastic"]
+def test_rows_c_and_d_mean_all_of_theirs():
+    names = ["C-bouncing", "C-rolling", "C-666", "C-666-elastic", "C-bouncing-events", "C-666-elastic-events"]
+    assert [row.name for row in rows_of("c")] == names
+    assert [row.name for row in rows_of("d")] == ["D-bounce", "D-exchange", "D-control"]
     assert [row.name for row in rows_of("B")] == ["B"]
 
 

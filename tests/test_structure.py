@@ -15,6 +15,7 @@ FLOORS = {
     "checks": -1,
     "compilation": -1,
     "tables": -1,
+    "compilation_cache": -1,
     "math": 0,
     "body": 1,
     "geometry": 2,

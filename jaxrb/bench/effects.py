@@ -3,6 +3,11 @@
 jaxrb bench --what effects
 """
 
+import os
+import subprocess
+import sys
+import tempfile
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -10,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrb.accuracy.cost import cost, names
+from jaxrb.accuracy.cost import cost, count_equations, count_operations, names
 from jaxrb.accuracy.differences import difference
 from jaxrb.accuracy.recommend import recommend
 from jaxrb.accuracy.timing import interleaved
@@ -21,8 +26,10 @@ from jaxrb.effects.drag import LinearDrag, QuadraticDrag
 from jaxrb.effects.gravity import UniformGravity
 from jaxrb.effects.thruster import PrescribedTorque
 from jaxrb.integrators.runge_kutta import RungeKutta4
+from jaxrb.scene.library import SCENES as SMOOTH
 from jaxrb.scene.rollout import rollout
 from jaxrb.scene.scene import Scene
+from jaxrb.scene.step import step
 
 BODIES, STEPS, SCENES = 1000, 200, 500
 
@@ -39,6 +46,9 @@ def rows() -> Iterator[dict[str, Any]]:
         0,
     )
     yield row("effects that they dropped, of each scene's three", dropped / SCENES, "a scene", None)
+    yield from kinds()
+    yield from sizes()
+    yield from first_frames()
 
 
 def sphere_ratio() -> float:
@@ -104,6 +114,86 @@ def reports() -> Iterator[dict[str, Any]]:
     for effect in found.effects:
         ratio = (1.0 - again[effect.index].share) / (1.0 - effect.share)
         yield row(f"step without {effect.name}, measured again over the report's", ratio, "×", "0.75…1.25")
+
+
+def sizes() -> Iterator[dict[str, Any]]:
+    """The program of one step of each built-in scene: equations, operations of the compiled step, CPU s to compile."""
+    for name, build in SMOOTH.items():
+        example = build()
+        start = time.process_time()
+        traced = jax.jit(lambda s, y: step(s, y)).trace(example.scene, example.state())
+        text = traced.lower().compile().as_text()
+        seconds = time.process_time() - start
+        yield row(f"{name}: equations of a step", count_equations(traced.jaxpr.jaxpr), "", None)
+        yield row(f"{name}: operations of a step", count_operations(text or ""), "", None, seconds)
+
+
+def kinds() -> Iterator[dict[str, Any]]:
+    """Operations of a step of one body under gravity, by what the body can do."""
+    brick = Body(1.0, (1.0, 2.0, 2.5))
+    bodies = {
+        "free, three moments": brick,
+        "free, one moment": Body(1.0, 0.4),
+        "in a plane": brick.restricted("xy", "z"),
+        "on an axle": brick.restricted("", "z"),
+        "a point": Body.point(1.0),
+        "fixed": brick.fixed(),
+    }
+    for name, body in bodies.items():
+        scene = Scene(body, UniformGravity())
+        text = jax.jit(lambda s, y: step(s, y)).lower(scene, scene.state()).compile().as_text()
+        yield row(
+            f"operations of a step under gravity: a body {name}", count_operations(text or ""), "", None
+        )
+    yield row("a free planar body over a program written by hand, 1000 bodies", planar_ratio(), "×", 1.2)
+
+
+def planar_ratio() -> float:
+    """CPU time of bodies that move in a plane over that of x, y and an angle written out; both by Runge–Kutta 4."""
+    random = np.random.default_rng(0)
+    velocity, omega = random.normal(size=(2, BODIES, 3)) * np.array([[[1.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]]])
+    scene = Scene(replicate(Body(1.0, (1.0, 2.0, 2.5)).restricted("xy", "z"), BODIES))
+    state = scene.state(velocity=velocity, angular_velocity=omega)
+    numbers = (velocity[:, 0], velocity[:, 1], omega[:, 2], *np.zeros((3, BODIES)))
+
+    def step_by_hand(_: Any, carry: Any) -> Any:
+        u, v, w, x, y, angle = carry
+        return u, v, w, x + 1e-3 * u, y + 1e-3 * v, angle + 1e-3 * w
+
+    by_hand = jax.jit(lambda numbers: jax.lax.fori_loop(0, STEPS, step_by_hand, numbers))
+    engine = lambda: rollout(scene, state, dt=1e-3, steps=STEPS, save_every=STEPS).final  # noqa: E731
+    mine, theirs = interleaved([engine, lambda: by_hand(jax.tree.map(jnp.asarray, numbers))], rounds=31)
+    return mine / theirs
+
+
+_FIRST_FRAME = """
+import sys, time
+import jaxrb as rb
+if sys.argv[1:]:
+    rb.enable_compilation_cache(sys.argv[1])
+box = rb.Body.from_shape(rb.Box((0.1, 0.1, 0.1)), density=500.0)
+scene = rb.Scene(box, (rb.UniformGravity(), rb.RigidContact(rb.HalfSpace(), friction=0.5)))
+rb.step(scene, scene.state(position=(0, 0, 0.1)), dt=2e-3).position.block_until_ready()
+print(time.process_time())
+"""
+
+
+def first_frames(repeats: int = 3) -> Iterator[dict[str, Any]]:
+    """CPU seconds from Python's start to the first step of a box on a plane, without and with programs kept on disk."""
+    with tempfile.TemporaryDirectory() as folder:
+        kept = os.path.join(folder, "kept")
+        environment = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}
+
+        def seconds(*arguments: str) -> float:
+            command = [sys.executable, "-c", _FIRST_FRAME, *arguments]
+            done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
+            return float(done.stdout)
+
+        seconds(kept)  # fills the folder
+        found = np.array([(seconds(), seconds(kept)) for _ in range(repeats)])
+    cold, warm = np.median(found, axis=0)
+    yield row("Python start to first box-on-plane frame", cold, "CPU s", 4.0)
+    yield row("the same in a second process, with enable_compilation_cache", warm, "CPU s", 1.5)
 
 
 def recommendations() -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 from jaxrb.body.body import Body as Body
 from jaxrb.body.body import replicate as replicate
+from jaxrb.body.freedom import Freedom as Freedom
 from jaxrb.body.inertia import FullInertia as FullInertia
 from jaxrb.body.inertia import Inertia as Inertia
 from jaxrb.body.inertia import PrincipalInertia as PrincipalInertia

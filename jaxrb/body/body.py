@@ -1,5 +1,6 @@
 """A rigid body: mass, inertia about the centre of mass and, where geometry matters, a shape."""
 
+import dataclasses
 import importlib
 import os
 from typing import Any
@@ -9,11 +10,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrb.body.freedom import FIXED, FREE, Freedom
+from jaxrb.body.inertia import Inertia, SphericalInertia
 from jaxrb.body.mass_properties import MassProperties, of_particles
 from jaxrb.body.validity import check_range, valid_inertia
-from jaxrb.checks import Checked, is_concrete, quantity
-from jaxrb.errors import InvalidInput, WrongStructure
+from jaxrb.checks import Checked, as_array, is_concrete, quantities, quantity, warn
+from jaxrb.errors import InvalidInput, LimitExceeded, WrongStructure
 from jaxrb.math.arrays import Array, Scalar, Vector
+
+_MAX_BYTES = 16 * 2**30  # of the numbers of replicated bodies
 
 
 class Body(Checked):
@@ -21,25 +26,64 @@ class Body(Checked):
 
     `inertia` [kg m²] is about the centre of mass in the axes of B: a number (spherical), three principal moments, a
     3×3 matrix, or an `Inertia`. `shape` is described in a frame of its own with axes parallel to B, in which the
-    centre of mass lies at `center_of_mass` (3,) [m].
+    centre of mass lies at `center_of_mass` (3,) [m]. `freedom` says how it may move; see `Body.point`, `fixed` and
+    `restricted`.
 
     Raises:
         InvalidInput: a mass that is not positive and finite, an inertia that no distribution of mass has.
     """
 
     mass: Scalar = quantity(
-        (), positive=True, unit="kg", mend="fix what never moves to the world instead of making it a body"
+        (), positive=True, unit="kg", mend="a body that never moves has a mass too: Body(…).fixed()"
     )
     inertia: Any  # pyright: ignore[reportGeneralTypeIssues] - whatever Inertia.of takes; afterwards an Inertia
     shape: Any = None
     center_of_mass: Vector = quantity((3,), unit="m", default=(0.0, 0.0, 0.0))
     name: str = eqx.field(static=True, default="body")
+    freedom: Freedom = eqx.field(static=True, default=FREE, kw_only=True)
 
     def __post_init__(self):
         super().__post_init__()
         if is_concrete(self.mass):
             check_range("Body.mass", np.asarray(self.mass), "kg")
-        self.inertia = valid_inertia(self.inertia, where="Body.inertia")
+        if self.shape is not None:
+            _check_solid("Body.shape", self.shape)
+            _doubt_outside(self.shape, self.center_of_mass)
+        if self.freedom.angular or not isinstance(self.inertia, Inertia):  # else no equation contains it
+            self.inertia = valid_inertia(self.inertia, where="Body.inertia")
+        _check_axes(self)
+
+    @classmethod
+    def point(cls, mass: Scalar, shape: Any = None, name: str = "point") -> "Body":
+        """A point mass [kg]: it moves, and has no rotation. A scene of such bodies compiles none.
+
+        Raises:
+            InvalidInput: a mass that is not positive and finite.
+        """
+        mass = as_array("Body.mass", mass)
+        nothing = SphericalInertia((np if is_concrete(mass) else jnp).zeros_like(mass))
+        return cls(mass, nothing, shape, name=name, freedom=Freedom(angular=""))
+
+    def fixed(self) -> "Body":
+        """The same body, held where it is: it has a mass (that attracts), shape and place, and no equation."""
+        return dataclasses.replace(self, freedom=FIXED)
+
+    def restricted(self, linear: str = "xyz", angular: str = "xyz") -> "Body":
+        """The same body, able to move along some axes of the world, and to turn about one axis of its own, or none.
+
+        `linear` holds letters of "xyz"; `angular` is "xyz", one letter, or "". In the plane z = const:
+        restricted("xy", "z"); on an axle through the centre of mass: restricted("", "z"); a slider: ("x", "").
+
+        Raises:
+            WrongStructure: other letters; a point mass that is to turn.
+        """
+        freedom = Freedom(linear, angular)
+        moment = getattr(self.inertia, "moment", None)
+        if angular and is_concrete(moment) and np.any(np.asarray(moment) == 0):
+            raise WrongStructure(
+                f"Body.restricted: {self.name!r} is a point mass, and has no inertia to turn with; give a Body with one"
+            )
+        return dataclasses.replace(self, freedom=freedom)
 
     @classmethod
     def from_mass_properties(
@@ -56,7 +100,11 @@ class Body(Checked):
         Raises:
             InvalidInput: a density that is not positive and finite.
         """
-        if is_concrete(density) and not (np.isfinite(density) and density > 0):
+        _check_solid("Body.from_shape", shape)
+        density = np.asarray(density) if isinstance(density, (list, tuple)) else density
+        if is_concrete(density) and np.asarray(density).dtype.kind not in "fiuV":
+            raise WrongStructure(f"Body.from_shape: density: {density!r} is not a number [kg/m³]")
+        if is_concrete(density) and not (np.isfinite(density).all() and np.all(np.asarray(density) > 0)):
             raise InvalidInput(
                 f"Body.from_shape: density is {density!r} kg/m³, but must be positive and finite"
             )
@@ -90,6 +138,10 @@ class Body(Checked):
             raise WrongStructure(
                 f"Body.from_mesh: {', '.join(reading)} is for reading a file; a mesh was given"
             )
+        if not hasattr(mesh, "convex_hull"):
+            raise WrongStructure(
+                f"Body.from_mesh: {mesh!r} is no mesh; give a TriangleMesh, or the path of a file"
+            )
         shape = mesh.convex_hull() if convex_hull else mesh
         return cls.from_shape(shape, density, mesh.name if name is None else name)
 
@@ -99,10 +151,59 @@ class Body(Checked):
         return cls.from_mass_properties(of_particles(masses, positions), name=name)
 
 
+def _check_axes(body: Body) -> None:
+    """Refuse mass, inertia and centre of mass of different numbers of bodies."""
+    moments = np.shape(jax.tree.leaves(body.inertia)[0])
+    axes = {
+        "mass": np.shape(body.mass),
+        "inertia": moments[:-1] if body.inertia.rank else moments,
+        "center_of_mass": np.shape(body.center_of_mass)[:-1],
+    }
+    if len(set(axes.values())) > 1:
+        said = ", ".join(f"{name} {axis}" for name, axis in axes.items())
+        raise WrongStructure(
+            f"Body: the bodies axes differ: {said}; give one body's numbers and use rb.replicate, or the axis to all"
+        )
+
+
+def _check_solid(where: str, shape: Any) -> None:
+    """Refuse what is no solid; told by what a body needs of it, since shapes are on a floor above this one."""
+    if isinstance(shape, type):
+        raise WrongStructure(f"{where}: {shape.__name__} is a class; write {shape.__name__}(…)")
+    if not hasattr(shape, "mass_properties"):
+        raise WrongStructure(f"{where}: {shape!r} is no shape; give one, such as rb.Sphere(0.1)")
+
+
+def _doubt_outside(shape: Any, center_of_mass: Any) -> None:
+    """Warn of a centre of mass that lies farther out than any point of the shape can."""
+    lengths = [
+        value for field in quantities(type(shape))
+        if field.metadata["quantity"]["unit"] == "m" and (value := getattr(shape, field.name)) is not None
+    ]  # fmt: skip
+    if not lengths or not all(is_concrete(value) for value in (*lengths, center_of_mass)):
+        return
+    # Of points the farthest; of radii and heights their sum, which no shape exceeds.
+    reach = sum(
+        float(np.linalg.norm(np.atleast_1d(np.asarray(value, float)), axis=-1).max()) for value in lengths
+    )
+    away = float(np.linalg.norm(np.asarray(center_of_mass, float), axis=-1).max())
+    if away > reach and not hasattr(shape, "normal"):
+        warn(
+            f"Body.center_of_mass lies {away:.3g} m from the origin of the {type(shape).__name__}, which reaches "
+            f"{reach:.3g} m at most: outside the body; is it given in the shape's frame, in metres?"
+        )
+
+
 def replicate(body: Body, count: int) -> Body:
     """`count` equal bodies: one Body whose numbers carry a leading bodies axis."""
-    if not isinstance(count, (int, np.integer)) or count < 1:
+    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
         raise InvalidInput(f"replicate: count is {count!r}, but must be a whole number of at least 1")
+    needed = count * sum(getattr(leaf, "nbytes", 8) for leaf in jax.tree.leaves(body))
+    if needed > _MAX_BYTES:
+        raise LimitExceeded(
+            f"replicate: {count} bodies need {needed / 2**30:.0f} GiB, more than {_MAX_BYTES / 2**30:.0f} GiB; "
+            "take fewer"
+        )
 
     def repeat(leaf):
         xp = np if isinstance(leaf, np.ndarray) else jnp
@@ -115,6 +216,11 @@ def count_of(body: Body) -> int | None:
     """Number of bodies on the bodies axis; None where there is no such axis."""
     shape = np.shape(body.mass)
     return shape[0] if shape else None
+
+
+def freedoms_of(bodies: tuple[Body, ...]) -> tuple[Freedom, ...]:
+    """The freedom of each body, those of a bodies axis one by one."""
+    return tuple(body.freedom for body in bodies for _ in range(count_of(body) or 1))
 
 
 def stacked(bodies: tuple[Body, ...]) -> MassProperties:

@@ -13,9 +13,9 @@ from jaxrb.collision.touch import contact_points
 from jaxrb.contact.block import Contacts, Incidence
 from jaxrb.contact.memory import Memory, recalled
 from jaxrb.contact.near import Near
-from jaxrb.contact.surfaces import Kind, Meeting, Obstacle, placed
+from jaxrb.contact.surfaces import Meeting, Obstacle
 from jaxrb.effects.rigid_contact import RigidContact
-from jaxrb.geometry.primitives import Pose
+from jaxrb.effects.surfaces import Kind, placed, standing
 from jaxrb.math.arrays import Array, Scalar
 from jaxrb.math.compaction import first_true
 
@@ -82,12 +82,7 @@ def _touching(points: Manifold, pair: Array, within: Scalar, capacity: int) -> t
 
 def _against(kind: Kind, obstacle: Obstacle, state: State, bodies: np.ndarray) -> Manifold:
     shape, pose = placed(kind, kind.rows(bodies), state, bodies)
-    still = obstacle.pose
-    if still is None:
-        still = Pose(jnp.zeros(3, state.dtype), type(state.orientation).identity(state.dtype))
-    else:
-        turned = type(state.orientation).from_rotation(still.orientation)
-        still = Pose(jnp.asarray(still.position, state.dtype), turned)
+    still = standing(obstacle.pose, state)
     return jax.vmap(contact_points, in_axes=(None, None, 0, 0))(obstacle.shape, still, shape, pose)
 
 
@@ -127,8 +122,13 @@ def _joined(
     first, second = (jnp.concatenate(side) if side else none for side in (first, second))
     incidence = Incidence(lone, first, second, count)
     pushed, back = incidence.take(state.position)
-    lever = points.position - pushed[:, None]
-    back = None if back is None else points.position[len(lone) :] - back[:, None]
+    restitution = _coefficient("restitution", rules, obstacles, meetings, incidence)
+    # Each body is pushed at its own surface, half a gap from the middle: there it will touch. Two bodies that do not
+    # bounce are pushed in the middle, since their step ends without an impact's time, and this keeps angular momentum.
+    own = np.arange(len(points.normal)) < (len(lone) if restitution is None else len(points.normal))
+    half = jnp.where(own[:, None], 0.5 * points.distance, 0.0)[..., None] * points.normal[:, None]
+    lever = points.position + half - pushed[:, None]
+    back = None if back is None else (points.position - half)[len(lone) :] - back[:, None]
     return Contacts(
         incidence,
         points.normal,
@@ -137,7 +137,7 @@ def _joined(
         points.distance,
         points.valid & (points.distance <= within),
         _coefficient("friction", rules, obstacles, meetings, incidence),
-        _coefficient("restitution", rules, obstacles, meetings, incidence),
+        restitution,
         points.feature,
     )
 

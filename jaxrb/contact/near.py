@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.body.state import State
-from jaxrb.contact.surfaces import Kind, Meeting, placed
+from jaxrb.contact.surfaces import Meeting
+from jaxrb.effects.surfaces import Kind, placed
 from jaxrb.geometry.bounds import AxisAlignedBox, bounding_box, bounding_sphere
 from jaxrb.geometry.primitives import Box, Cylinder, Sphere
 from jaxrb.geometry.shape import Shape

@@ -20,8 +20,9 @@ from jaxrb.contact.memory import Memory, first_memory, remembered
 from jaxrb.contact.problem import Problem
 from jaxrb.contact.report import ContactReport, first_report, reported
 from jaxrb.contact.solver import Solution, default_tolerance
-from jaxrb.contact.surfaces import Kind, Meeting, Obstacle
+from jaxrb.contact.surfaces import Meeting, Obstacle
 from jaxrb.effects.rigid_contact import RigidContact
+from jaxrb.effects.surfaces import Kind
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.safe import norm
 from jaxrb.math.vector import dot, matvec

@@ -12,31 +12,16 @@ from jaxrb.body.body import Body, count_of
 from jaxrb.effects.effect import Effect
 from jaxrb.effects.fixed_point import FixedPoint
 from jaxrb.effects.rigid_contact import RigidContact
+from jaxrb.effects.surfaces import Kind, kinds_of
 from jaxrb.errors import WrongStructure
 from jaxrb.geometry.bounds import bounding_box
-from jaxrb.geometry.mesh import TriangleMesh
-from jaxrb.geometry.primitives import HalfSpace, Pose
+from jaxrb.geometry.primitives import Pose
 from jaxrb.geometry.shape import Shape
-from jaxrb.math.arrays import Array, Scalar, Vector
+from jaxrb.math.arrays import Scalar
 from jaxrb.math.safe import norm
 
 # Pairs a body, half of its neighbours: of spheres none has more than 12, boxes in a pile have 4 to 6.
 _NEAR, _TOUCHING = 6, 3
-
-
-class Kind(eqx.Module):
-    """Bodies whose shapes are of one kind: leaves of `shape` and `center` (m, 3) [m] run over the `members`.
-
-    The shape's own frame has its origin at −`center` in the body's.
-    """
-
-    members: tuple[int, ...] = eqx.field(static=True)
-    shape: Shape
-    center: Vector
-
-    def rows(self, bodies: np.ndarray) -> np.ndarray:
-        """Places of body numbers among the members."""
-        return np.searchsorted(np.asarray(self.members), bodies)
 
 
 class Obstacle(eqx.Module):
@@ -82,7 +67,7 @@ def contact_of(bodies: tuple[Body, ...], effects: tuple[Effect, ...]) -> Any:
             "Scene.effects: FixedPoint with RigidContact is not supported; hold the body by a stiff SpringDamper"
         )
     count = sum(count_of(body) or 1 for body in bodies)
-    kinds = _kinds(bodies, {i for rule in rules for i in rule.chosen(count)})
+    kinds = kinds_of("RigidContact", bodies, {i for rule in rules for i in rule.chosen(count)})
     obstacles, meetings = [], []
     for number, rule in enumerate(rules):
         chosen = set(rule.chosen(count))
@@ -97,32 +82,6 @@ def contact_of(bodies: tuple[Body, ...], effects: tuple[Effect, ...]) -> Any:
     return ContactStep(rules, tuple(kinds), tuple(obstacles), _radii(kinds, count), tuple(meetings), count)
 
 
-def _kinds(bodies: tuple[Body, ...], wanted: set[int]) -> list[Kind]:
-    """The shapes of the wanted bodies, sorted into kinds."""
-    found: dict[Any, list[tuple[range, Shape, Any]]] = {}
-    start = 0
-    for body in bodies:
-        count = count_of(body)
-        numbers = range(start, start + (count or 1))
-        start = numbers.stop
-        if not wanted & set(numbers):
-            continue
-        _check_shape(body, numbers.start)
-        shape, center = body.shape, body.center_of_mass
-        if count is None:
-            shape, center = jax.tree.map(lambda x: jnp.asarray(x)[None], (shape, center))
-        center = jnp.broadcast_to(jnp.asarray(center), (len(numbers), 3))
-        leaves, structure = jax.tree.flatten(shape)
-        key = (structure, tuple(np.shape(leaf)[1:] for leaf in leaves))
-        found.setdefault(key, []).append((numbers, shape, center))
-    kinds = []
-    for parts in found.values():
-        shape, center = jax.tree.map(lambda *x: jnp.concatenate(x), *[part[1:] for part in parts])
-        members = tuple(i for part in parts for i in part[0])
-        kinds.append(Kind(members, shape, center))
-    return kinds
-
-
 def _radii(kinds: list[Kind], count: int) -> Scalar:
     """Of balls (count,) [m] about the centres of mass that hold the shapes."""
     radii = jnp.zeros(count)
@@ -131,21 +90,6 @@ def _radii(kinds: list[Kind], count: int) -> Scalar:
         far = jnp.maximum(jnp.abs(box.low - kind.center), jnp.abs(box.high - kind.center))
         radii = radii.at[np.asarray(kind.members)].set(norm(far))
     return radii
-
-
-def _check_shape(body: Body, number: int) -> None:
-    name = f"body {number} ({body.name!r})"
-    if not isinstance(body.shape, Shape):
-        raise WrongStructure(
-            f"RigidContact: {name} has no shape; make it by Body.from_shape, give shape=…, or leave it out by bodies=…"
-        )
-    if isinstance(body.shape, TriangleMesh):
-        raise WrongStructure(
-            f"RigidContact: the mesh of {name} is not convex; use Body.from_mesh(…, convex_hull=True), or a Composite "
-            "from rb.convex_decomposition"
-        )
-    if isinstance(body.shape, HalfSpace):
-        raise WrongStructure(f"RigidContact: {name} is a half-space; give it as against=…")
 
 
 def _meetings(
@@ -168,12 +112,3 @@ def _meetings(
         )
         for k, other, pairs in together
     ]
-
-
-def placed(
-    kind: Kind, rows: Array | np.ndarray, state: Any, bodies: Array | np.ndarray
-) -> tuple[Shape, Pose]:
-    """Shapes and poses of bodies of one kind; arrays run over the bodies."""
-    shape, center = jax.tree.map(lambda leaf: leaf[rows], (kind.shape, kind.center))
-    orientation = jax.tree.map(lambda leaf: leaf[bodies], state.orientation)
-    return shape, Pose(state.position[bodies] - orientation.rotate(center), orientation)

@@ -3,6 +3,7 @@
 from jaxrb.effects.central_gravity import CentralGravity as CentralGravity
 from jaxrb.effects.central_gravity import GravityGradient as GravityGradient
 from jaxrb.effects.central_gravity import MutualGravity as MutualGravity
+from jaxrb.effects.compliant_contact import CompliantContact as CompliantContact
 from jaxrb.effects.custom import CustomForce as CustomForce
 from jaxrb.effects.drag import LinearDrag as LinearDrag
 from jaxrb.effects.drag import QuadraticDrag as QuadraticDrag
@@ -14,6 +15,7 @@ from jaxrb.effects.fluid import Buoyancy as Buoyancy
 from jaxrb.effects.fluid import MagnusForce as MagnusForce
 from jaxrb.effects.fluid import PlateAerodynamics as PlateAerodynamics
 from jaxrb.effects.gravity import UniformGravity as UniformGravity
+from jaxrb.effects.prescribed_motion import PrescribedMotion as PrescribedMotion
 from jaxrb.effects.rigid_contact import RigidContact as RigidContact
 from jaxrb.effects.spring import SpringDamper as SpringDamper
 from jaxrb.effects.thruster import BodyThruster as BodyThruster
@@ -21,3 +23,4 @@ from jaxrb.effects.thruster import PrescribedTorque as PrescribedTorque
 from jaxrb.effects.torques import AngularSpring as AngularSpring
 from jaxrb.effects.torques import MagneticTorque as MagneticTorque
 from jaxrb.effects.torques import Motor as Motor
+from jaxrb.effects.wind_field import WindField as WindField

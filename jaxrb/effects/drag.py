@@ -35,7 +35,8 @@ class LinearDrag(Force):
         if self.angular_coefficient is None:
             return linear
         moments = np.linalg.eigvalsh(inertia_matrix(bodies.inertia))[..., 0]
-        smallest = (moments if self.bodies is None else moments[np.asarray(self.bodies)]).min()
+        moments = moments if self.bodies is None else moments[np.asarray(self.bodies)]
+        smallest = moments.min(initial=np.inf, where=moments > 0)  # a point mass has none
         return np.maximum(linear, np.max(np.asarray(self.angular_coefficient)) / smallest)
 
 

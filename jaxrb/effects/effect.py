@@ -56,6 +56,10 @@ class Effect(Checked):
         """Total potential energy [J], None for an effect that has none."""
         return None
 
+    def with_shapes(self, bodies: tuple[Any, ...]) -> Effect:
+        """The effect as a run computes it: one that depends on the shapes of the scene's bodies takes them here."""
+        return self
+
     def rate(self, bodies: MassProperties, state: State) -> np.ndarray | float:
         """Estimate on the host of the fastest rate [1/s] that this effect gives: an oscillation's ω, a decay's 1/τ.
 

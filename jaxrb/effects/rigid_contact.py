@@ -5,12 +5,10 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxrb.checks import quantity
+from jaxrb.checks import check_count, check_tolerance, quantity
 from jaxrb.effects.effect import Effect, check_indices, check_shapes
+from jaxrb.effects.surfaces import obstacles_of
 from jaxrb.errors import WrongStructure
-from jaxrb.geometry.mesh import TriangleMesh
-from jaxrb.geometry.primitives import Pose
-from jaxrb.geometry.shape import Shape
 
 COMBINE = ("mean", "geometric", "smaller", "larger", "product")
 
@@ -50,13 +48,13 @@ class RigidContact(Effect):
 
     def __post_init__(self):
         super().__post_init__()
-        self.against = _obstacles(self.against)
+        self.against = obstacles_of("RigidContact", self.against)
         if self.combine not in COMBINE:
             raise WrongStructure(f"RigidContact.combine: {self.combine!r}; give one of {', '.join(COMBINE)}")
-        if self.capacity is not None and self.capacity < 1:
-            raise WrongStructure(f"RigidContact.capacity: {self.capacity}, but must be at least 1")
-        if self.tolerance is not None and not 0 < self.tolerance < 1:
-            raise WrongStructure(f"RigidContact.tolerance: {self.tolerance}, but must lie between 0 and 1")
+        if self.capacity is not None:
+            check_count("RigidContact.capacity", self.capacity, 1)
+        if self.tolerance is not None:
+            check_tolerance("RigidContact.tolerance", self.tolerance)
 
     def check(self, count: int) -> None:
         check_shapes(self, count, "all bodies", "one value a body")
@@ -81,27 +79,3 @@ class RigidContact(Effect):
         groups, masks = (all_bits if bits is None else np.asarray(bits) for bits in (self.groups, self.masks))
         group, mask = ((lambda i, b=b: b[i] if b.ndim else b) for b in (groups, masks))
         return ((group(first) & mask(second)) != 0) & ((group(second) & mask(first)) != 0)
-
-
-def _obstacles(against: Any) -> tuple[tuple[Shape, Pose | None], ...] | None:
-    """What stands still, as pairs of a shape and its pose; None where the bodies meet each other."""
-    if against is None:
-        return None
-    if isinstance(against, Shape):
-        against = ((against, None),)
-    elif isinstance(against, tuple) and len(against) == 2 and isinstance(against[1], Pose):
-        against = (against,)
-    if not isinstance(against, (tuple, list)):
-        against = (against,)
-    pairs = tuple(item if isinstance(item, (tuple, list)) else (item, None) for item in against)
-    for item in pairs:
-        if len(item) != 2 or not isinstance(item[0], Shape) or not isinstance(item[1], (Pose, type(None))):
-            raise WrongStructure(
-                f"RigidContact.against: {item!r}; give a Shape, a pair (Shape, Pose), or a tuple of these"
-            )
-        if isinstance(item[0], TriangleMesh):
-            raise WrongStructure(
-                "RigidContact.against: a TriangleMesh is not convex; give its convex_hull(), or a Composite from "
-                "rb.convex_decomposition"
-            )
-    return tuple((shape, pose) for shape, pose in pairs)

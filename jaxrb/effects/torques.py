@@ -122,5 +122,6 @@ class AngularSpring(Effect):
 
 
 def smallest_moment(bodies: MassProperties) -> float:
-    """The smallest principal moment of any body [kg m²], on the host."""
-    return float(np.linalg.eigvalsh(inertia_matrix(bodies.inertia))[..., 0].min())
+    """The smallest principal moment of any body that has one [kg m²], on the host; infinite where all are points."""
+    moments = np.linalg.eigvalsh(inertia_matrix(bodies.inertia))[..., 0]
+    return float(moments.min(initial=np.inf, where=moments > 0))

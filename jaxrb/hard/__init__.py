@@ -1,7 +1,6 @@
 """Hard cases: inputs at which engines lose digits or return NaN, each with a stated limit on what may be lost.
 
-What today's engine can run: rotation, springs, fields, derivatives, distances of shapes. Contact forces do not exist
-yet, so no case rests, slides or stacks.
+Rotation, springs, fields, derivatives, distances of shapes, contact.
 """
 
 from jaxrb.hard.case import Case, Measured, Verdict, judge, precision

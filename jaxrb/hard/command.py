@@ -19,8 +19,8 @@ _LONG = "intermediate-axis flip, long"
 def hard_cases(*, only: str | None = None, long: bool = False, json: bool = False) -> None:
     """Hard cases: what is hard, what it costs in digits, and whether the gradient survives. Exit code 1 if one fails.
 
-    Rotation, springs, fields, derivatives and distances of shapes at the inputs where formulas degenerate; each with a
-    figure and a limit that is stated for this precision. No contact forces: they do not exist yet.
+    Rotation, springs, fields, derivatives, distances of shapes and contact at the inputs where formulas degenerate;
+    each with a figure and a limit that is stated for this precision.
 
     Example: jaxrb hard-cases --only separatrix
     Example: jaxrb hard-cases --float32

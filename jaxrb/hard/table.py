@@ -3,10 +3,12 @@
 import difflib
 
 from jaxrb.errors import UnknownName
-from jaxrb.hard import derivatives, flight, scenes, shapes
+from jaxrb.hard import derivatives, flight, scenes, shapes, touching
 from jaxrb.hard.case import Case
 
-CASES: tuple[Case, ...] = (*flight.cases(), *derivatives.cases(), *scenes.cases(), *shapes.cases())
+CASES: tuple[Case, ...] = tuple(
+    case for file in (flight, derivatives, scenes, shapes, touching) for case in file.cases()
+)
 
 
 def cases_named(name: str | None) -> tuple[Case, ...]:

@@ -25,13 +25,11 @@ def compensated_sum(state: State, remainder: Rates, change: Rates, dt: Scalar) -
     velocity, lost_velocity = _sum(state.velocity, remainder.velocity, change.velocity)
     omega, lost_omega = _sum(state.angular_velocity, remainder.angular_velocity, change.angular_velocity)
     leaves, structure = jax.tree.flatten(state.orientation)
-    sums = [
-        _sum(*three)
-        for three in zip(
-            leaves, jax.tree.leaves(remainder.orientation), jax.tree.leaves(change.orientation), strict=True
-        )
-    ]
-    orientation, lost_orientation = (structure.unflatten([pair[i] for pair in sums]) for i in (0, 1))
+    before, kept = jax.tree.flatten(remainder.orientation)
+    changes = jax.tree.leaves(change.orientation, is_leaf=lambda part: part is None)  # None: it cannot turn
+    sums = [_sum(*three) for three in zip(leaves, before, changes, strict=True)]
+    orientation = structure.unflatten([new for new, _ in sums])
+    lost_orientation = kept.unflatten([lost for _, lost in sums])
     done = State(position, orientation, velocity, omega, state.time + dt)
     return done, Rates(lost_position, lost_orientation, lost_velocity, lost_omega)
 

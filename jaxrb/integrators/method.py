@@ -25,6 +25,9 @@ class Method(eqx.Module):
     stability_limit: eqx.AbstractClassVar[float]
     needs_group: ClassVar[bool] = False  # True where Euler angles cannot serve
     symmetric: ClassVar[bool] = False  # True where a step of −dt undoes a step of dt
+    one_angle: ClassVar[bool] = (
+        True  # True where it asks nothing of an orientation but its derivative, exp or cayley
+    )
 
     renormalise: bool = eqx.field(static=True, default=True, kw_only=True)
 
@@ -61,7 +64,9 @@ class Method(eqx.Module):
         """One whole step within a run, with constrained bodies in their place, and what to carry to the next."""
         remainder, memory = carry
         with jax.named_scope(type(self).__name__):
-            new, remainder = self.free_step(dynamics, state, remainder, dt, torque)
+            start = dynamics.eased(state, one_angle=self.one_angle and remainder is None)
+            new, remainder = self.free_step(dynamics, start, remainder, dt, torque)
+            new = dynamics.restored(state, new, renormalise=self.renormalise)
         if dynamics.contact is not None:
             with jax.named_scope("RigidContact"):
                 new, memory = dynamics.contact.resolved(dynamics, state, new, dt, memory)

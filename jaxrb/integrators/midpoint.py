@@ -61,4 +61,4 @@ def _carried(orientation: Rotation, rotation_vector: Vector) -> Rotation:
 
 
 def _halfway(a: Rotation, b: Rotation) -> Rotation:
-    return jax.tree.map(lambda x, y: 0.5 * (x + y), a, b)
+    return jax.tree.map(lambda x, y: x if x is y else 0.5 * (x + y), a, b)

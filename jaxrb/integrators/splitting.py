@@ -60,6 +60,7 @@ class Splitting(Method):
     stability_limit: ClassVar[float] = 2.0
     needs_group: ClassVar[bool] = True
     symmetric: ClassVar[bool] = True
+    one_angle: ClassVar[bool] = False
     parts: eqx.AbstractClassVar[Pairs]
 
     sweeps: int | None = eqx.field(static=True, default=None)

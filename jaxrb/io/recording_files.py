@@ -14,17 +14,14 @@ The stacked layout of some public data sets has `length` and `rate_hz` (samples 
 """
 
 import json
-import os
-import tempfile
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from jaxrb.errors import InvalidInput, JaxrbError, LimitExceeded
+from jaxrb.errors import InvalidInput, LimitExceeded
 from jaxrb.io.columns import WIDTHS
+from jaxrb.io.npz import read_arrays, write_whole
 from jaxrb.io.recording import Recording
 from jaxrb.io.recording_csv import csv_text, read_csv
 
@@ -69,7 +66,7 @@ def read_recording(
             raise LimitExceeded(f"{path}: {path.stat().st_size} bytes are more than max_bytes={max_bytes}.")
         return read_csv(path, declared)
     if suffix == ".npz":
-        return _from_arrays(path, _read_arrays(path, max_bytes), declared)
+        return _from_arrays(path, read_arrays(path, max_bytes), declared)
     raise InvalidInput(f"{path}: recordings are read from .npz or .csv, not {suffix!r}.")
 
 
@@ -90,69 +87,17 @@ def write_recording(recording: Recording, file: str | Path) -> Path:
         metadata = json.dumps(recording.metadata, sort_keys=True, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise InvalidInput(f"{recording.source}: field 'metadata' is not JSON ({error}).") from None
-    scratch = None
-    try:
-        handle, scratch = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=suffix)
-        with os.fdopen(handle, "wb") as stream:
-            if suffix == ".csv":
-                stream.write(csv_text(recording, metadata).encode())
-            else:
-                arrays: dict[str, Any] = {
-                    "jaxrb_recording": SCHEMA,
-                    "length": recording.length,
-                    "metadata": metadata,
-                }
-                arrays |= recording.columns()
-                np.savez_compressed(stream, **arrays)
-        os.chmod(scratch, 0o644)  # mkstemp makes it private
-        os.replace(scratch, path)
-    except OSError as error:
-        if scratch is not None and os.path.exists(scratch):
-            os.unlink(scratch)
-        raise JaxrbError(f"{path}: could not be written ({error}). Nothing was changed there.") from error
+
+    def write(stream: Any) -> None:
+        if suffix == ".csv":
+            stream.write(csv_text(recording, metadata).encode())
+            return
+        arrays: dict[str, Any] = {"jaxrb_recording": SCHEMA, "length": recording.length, "metadata": metadata}
+        np.savez_compressed(stream, **(arrays | recording.columns()))  # pyright: ignore[reportArgumentType]
+
+    write_whole(path, write)
     return path
-
-
-def _read_arrays(path: Path, max_bytes: int) -> dict[str, np.ndarray]:
-    """All arrays of an NPZ file. Sizes are checked against the headers before any memory is asked for."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            total = sum(member.file_size for member in members)
-            if total > max_bytes:
-                raise LimitExceeded(
-                    f"{path}: would unpack to {total} bytes, more than max_bytes={max_bytes}. "
-                    "Cut it, or raise max_bytes."
-                )
-            return {m.filename.removesuffix(".npy"): _read_array(path, archive, m) for m in members}
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:
-        raise InvalidInput(f"{path}: not a whole NPZ file ({error}). Copy or record it again.") from error
-
-
-def _read_array(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    name = member.filename.removesuffix(".npy")
-    try:
-        with archive.open(member) as stream:
-            version = np.lib.format.read_magic(stream)
-            reader = (
-                np.lib.format.read_array_header_1_0
-                if version == (1, 0)
-                else np.lib.format.read_array_header_2_0
-            )
-            shape, _, dtype = reader(stream)
-            promised = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
-        # An array of Python objects could run code when read, and a false shape could ask for any memory.
-        if dtype.kind not in "iufU" or promised > member.file_size:
-            raise InvalidInput(
-                f"{path}: field '{name}' is said to hold {shape} of {dtype}, which is no array of numbers "
-                f"or text that fits its {member.file_size} bytes."
-            )
-        with archive.open(member) as stream:
-            return np.lib.format.read_array(stream, allow_pickle=False)
-    except ValueError as error:
-        if isinstance(error, JaxrbError):
-            raise
-        raise InvalidInput(f"{path}: field '{name}' is not an array ({error}).") from error
+    return path
 
 
 def _from_arrays(path: Path, arrays: dict[str, np.ndarray], declared: dict[str, Any]) -> Recording:

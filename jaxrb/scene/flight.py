@@ -76,7 +76,7 @@ def _raise_if_bad(reason: np.ndarray) -> None:
 @jax.jit
 def _flown(scene: Scene, state: State, t: Scalar) -> tuple[State, jax.Array]:
     with jax.named_scope("free_flight"):
-        inertia = scene.prepared(state.dtype).bodies.inertia
+        inertia = scene.prepared(state.dtype).inertia.inertia
         turn, omega = jax.vmap(free_rotation, in_axes=(0, 0, None))(inertia, state.angular_velocity, t)
         final = State(
             state.position + state.velocity * t,

@@ -45,16 +45,23 @@ def initial_state(
     ]
     attitude = _orientation(orientation, count, rotation, dtype)
     time = as_array("state.time", time)
+    if np.ndim(time) != 0:
+        raise WrongStructure(f"state.time: shape {np.shape(time)}; give one number [s] for all bodies")
     check_quantity("state.time", time, unit="s")
-    return State(vectors[0], attitude, vectors[1], vectors[2], jnp.asarray(time, dtype))
+    return State(vectors[0], attitude, vectors[1], vectors[2], _cast("state.time", "s", time, dtype))
 
 
 def _dtype(given: list[Any], dtype: Any) -> Any:
     default = jax.dtypes.canonicalize_dtype(float)
     if dtype is not None:
-        wanted = np.dtype(dtype)
-        if not jnp.issubdtype(wanted, jnp.floating):
-            raise WrongStructure(f"state: dtype {wanted} is not a floating type; use float32 or float64")
+        try:
+            wanted = np.dtype(dtype)
+        except TypeError as error:
+            raise WrongStructure(f"state: dtype {dtype!r} is no type; use float32 or float64") from error
+        if wanted not in _TYPES:
+            raise WrongStructure(
+                f"state: dtype {wanted} is not a floating type of a run; use float32 or float64"
+            )
         if jax.dtypes.canonicalize_dtype(wanted) != wanted:
             warn(f"state: dtype {wanted} was asked for while JAX runs without it; {default} is used. {_X64}")
         return jax.dtypes.canonicalize_dtype(wanted)
@@ -64,8 +71,11 @@ def _dtype(given: list[Any], dtype: Any) -> Any:
             continue
         if leaf.dtype.kind in "iu":
             warn(f"state: an array of {leaf.dtype} was given; its numbers are used as floating numbers")
-        elif leaf.dtype.kind == "f":
+        elif leaf.dtype in _TYPES:
             kinds.append(leaf.dtype)
+        elif jnp.issubdtype(leaf.dtype, jnp.floating):
+            warn(f"state: an array of {leaf.dtype} was given; a run needs float32 at least, which is used")
+            kinds.append(np.dtype(np.float32))
     if not kinds:
         return default
     wanted = np.result_type(*kinds)
@@ -75,6 +85,7 @@ def _dtype(given: list[Any], dtype: Any) -> Any:
     return usable
 
 
+_TYPES = (np.dtype(np.float32), np.dtype(np.float64))
 _X64 = "Start Python with JAX_ENABLE_X64=1, or call jax.config.update('jax_enable_x64', True) first"
 
 
@@ -87,7 +98,8 @@ def _cast(where: str, unit: str, value: Any, dtype: Any) -> jax.Array:
     lost = np.isfinite(host) & ~np.isfinite(cast)
     if lost.any():
         raise InvalidInput(
-            f"{where} is {host[lost].ravel()[0]!r} {unit}, too large for {np.dtype(dtype)}; use float64 or larger units"
+            f"{where} is {host[lost].ravel()[0].item()!r} {unit}, too large for {np.dtype(dtype)}; "
+            "use float64 or larger units"
         )
     return jnp.asarray(cast)
 
@@ -148,7 +160,7 @@ def _checked(attitude: Rotation) -> Rotation:
     numbers = np.asarray(leaf, float)
     if not np.isfinite(numbers).all():
         raise InvalidInput(
-            f"state.orientation has a number {numbers[~np.isfinite(numbers)][0]!r}; all must be finite"
+            f"state.orientation has a number {numbers[~np.isfinite(numbers)][0].item()!r}; all must be finite"
         )
     if isinstance(attitude, Quaternion):
         defect = np.linalg.norm(numbers, axis=-1) - 1.0
@@ -198,6 +210,6 @@ def check_held(given: State, placed: State) -> None:
     if (distance > allowed).any():
         body = int(distance.argmax())
         raise InvalidInput(
-            f"state.position of body {body} is {here[body].tolist()} m, but its fixed point holds it at "
-            f"{there[body].tolist()} m; leave the position out, or move the anchor"
+            f"state.position of body {body} is {here[body].tolist()} m, but its constraint holds it at "
+            f"{there[body].tolist()} m; leave the position out, or move the constraint"
         )

@@ -10,6 +10,7 @@ from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.rotation import Drift
 from jaxrb.scene.certificate import Certificate
 from jaxrb.scene.scene import Scene, angular_momentum, energy, momentum
+from jaxrb.scene.start import warn_of_overlap
 from jaxrb.scene.status import Status
 
 
@@ -47,8 +48,12 @@ class Path(eqx.Module):
         return _diagnose(self.scene, self.states)
 
     def raise_if_bad(self) -> None:
-        """Raise `RunFailed` if the status is not good: for paths that come out of `jit` or `vmap`."""
+        """Raise `RunFailed` if the status is not good: for paths that come out of `jit` or `vmap`.
+
+        Warns of bodies that overlapped deeply.
+        """
         self.status.raise_if_bad()
+        warn_of_overlap(self.scene, self.contact)
 
 
 @jax.jit

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxrb.body import diagnostics
-from jaxrb.body.body import Body, count_of, stacked
+from jaxrb.body.body import Body, count_of, freedoms_of, stacked
 from jaxrb.body.mass_properties import MassProperties
 from jaxrb.body.state import State
 from jaxrb.checks import Checked
@@ -14,12 +14,15 @@ from jaxrb.contact import contact_of
 from jaxrb.effects.dynamics import Dynamics, prepare
 from jaxrb.effects.effect import Effect
 from jaxrb.effects.fixed_point import FixedPoint
+from jaxrb.effects.prescribed_motion import PrescribedMotion
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.math.rotation import Rotation
+from jaxrb.scene.freedoms import check_contact, check_driven, check_motion
 from jaxrb.scene.initial import check_held, initial_state
+from jaxrb.scene.start import check_start
 
 
 class Scene(Checked):
@@ -34,8 +37,8 @@ class Scene(Checked):
 
     def __post_init__(self):
         bodies, effects = self.bodies, self.effects
-        self.bodies = bodies = (bodies,) if isinstance(bodies, Body) else tuple(bodies)
-        self.effects = effects = (effects,) if isinstance(effects, Effect) else tuple(effects)
+        self.bodies = bodies = tuple(bodies) if isinstance(bodies, (list, tuple)) else (bodies,)
+        self.effects = effects = tuple(effects) if isinstance(effects, (list, tuple)) else (effects,)
         if not bodies or not all(isinstance(body, Body) for body in bodies):
             raise WrongStructure(f"Scene.bodies: {bodies!r}; give a Body, or a tuple of at least one Body")
         for effect in effects:
@@ -48,6 +51,7 @@ class Scene(Checked):
                     f"Scene.effects: {effect!r} is no effect; wrap a function in CustomForce"
                 )
             effect.check(self.count)
+        check_contact(freedoms_of(bodies), effects)
 
     @property
     def count(self) -> int:
@@ -60,7 +64,9 @@ class Scene(Checked):
 
     def prepared(self, dtype: Any) -> Dynamics:
         """The equations of motion for states of this floating type."""
-        return prepare(self.stacked(), self.effects, dtype, contact_of(self.bodies, self.effects))
+        effects = tuple(effect.with_shapes(self.bodies) for effect in self.effects)
+        contact = contact_of(self.bodies, self.effects)
+        return prepare(self.stacked(), effects, dtype, contact, freedoms_of(self.bodies))
 
     def state(
         self,
@@ -91,16 +97,20 @@ class Scene(Checked):
         state = initial_state(
             self.count, position, orientation, velocity, angular_velocity, time, rotation, dtype
         )
-        return _placed(self, state, position)
+        check_motion(freedoms_of(self.bodies), state)
+        check_start(self, state)
+        given = {"velocity": velocity, "angular_velocity": angular_velocity}
+        return _placed(self, state, position, given)
 
 
-def _placed(scene: Scene, state: State, position: Any) -> State:
-    """The state with held bodies in their place; a position that contradicts the hold is refused."""
-    if not any(isinstance(effect, FixedPoint) for effect in scene.effects):
+def _placed(scene: Scene, state: State, position: Any, given: dict[str, Any]) -> State:
+    """The state with held and driven bodies in their place; a position that contradicts the hold is refused."""
+    if not any(isinstance(effect, (FixedPoint, PrescribedMotion)) for effect in scene.effects):
         return state
     placed = _completed(scene, state)
     if position is not None:
         check_held(state, placed)
+    check_driven(scene.effects, given, state, placed)
     return placed
 
 
@@ -111,6 +121,8 @@ def _completed(scene: Scene, state: State) -> State:
 
 def check_fit(scene: Scene, state: State) -> None:
     """Refuse a state that belongs to a scene with another number of bodies."""
+    if not isinstance(scene, Scene):
+        raise WrongStructure(f"scene: {type(scene).__name__} is no Scene; write rb.Scene(bodies, effects)")
     if not isinstance(state, State):
         raise WrongStructure(f"state: {type(state).__name__} is no State; make one with scene.state(...)")
     shape = jnp.shape(state.position)

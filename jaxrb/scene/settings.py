@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.body.state import State
+from jaxrb.checks import check_count as check_count
+from jaxrb.checks import check_tolerance as check_tolerance
 from jaxrb.checks import is_concrete, warn
 from jaxrb.errors import InvalidInput, LimitExceeded, WrongStructure
 from jaxrb.integrators.method import Method
@@ -21,27 +23,17 @@ def check_positive(name: str, value: Any, unit: str = "s") -> None:
     """Refuse what is not a positive finite number."""
     if np.ndim(value) != 0:
         raise WrongStructure(f"{name}: shape {np.shape(value)}; give one number")
-    if isinstance(value, (bool, str)) or value is None:
+    kind = value.dtype if hasattr(value, "dtype") else np.asarray(value).dtype
+    if isinstance(value, bool) or kind.kind not in "fiuV":  # V: NumPy's letter of bfloat16
         raise WrongStructure(f"{name}: {value!r} is not a number")
     if is_concrete(value) and not (np.isfinite(value) and value > 0):
         raise InvalidInput(f"{name} is {value!r} {unit}, but must be positive and finite")
 
 
-def check_tolerance(name: str, value: Any) -> None:
-    """Refuse a tolerance outside (0, 1)."""
-    if is_concrete(value) and not (np.isscalar(value) and 0 < float(value) < 1):  # type: ignore[arg-type]
-        raise InvalidInput(
-            f"{name} is {value!r}, but must lie between 0 and 1, ends excluded; 1e-6 is a good start"
-        )
-
-
-def check_count(name: str, value: Any, least: int) -> int:
-    """A whole number of at least `least`."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise WrongStructure(f"{name}: {value!r} is not a whole number known when the program is traced")
-    if value < least:
-        raise InvalidInput(f"{name} is {value}, but must be at least {least}")
-    return int(value)
+def check_steps(name: str, steps: int) -> None:
+    """Refuse more steps than a run's counter holds."""
+    if steps >= 2**31:
+        raise InvalidInput(f"steps is {steps}, but one {name} counts to 2^31 − 1; continue from path.final")
 
 
 def check_choice(name: str, value: Any, choices: tuple[str, ...]) -> None:
@@ -103,11 +95,30 @@ def _finite_torque(torque: jax.Array) -> None:
         raise InvalidInput("torque: a number is not finite; all must be finite [N m]")
 
 
+def _check_step_in_type(state: State, dt: Any) -> None:
+    """Refuse a step that the state's type makes 0 or infinite; warn of one after which the time is the same."""
+    dtype = np.dtype(state.dtype)
+    with np.errstate(over="ignore", under="ignore"):
+        step, time = np.asarray(dt).astype(dtype), np.asarray(state.time)
+        if step == 0 or not np.isfinite(step):
+            raise InvalidInput(f"dt is {dt!r} s, too {'large' if step else 'small'} for a state of {dtype}")
+        if time + step == time:
+            warn(
+                f"dt = {float(dt):.3g} s is lost beside the time {float(time):.6g} s in {dtype}: effects that look at "
+                "the time will see it stand still; count from a later start"
+            )
+
+
 def warn_of_coarse_steps(scene: Scene, state: State, dt: Any, method: Method) -> None:
-    """Warn where a step turns a body by more than a quarter turn, or an effect's rate is beyond the method's limit."""
+    """Warn where a step turns a body by more than a quarter turn, or an effect's rate is beyond the method's limit.
+
+    Raises:
+        InvalidInput: a step that the state's floating type cannot hold.
+    """
     values = (state.position, state.velocity, state.angular_velocity, dt, scene)
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves(values)):
         return
+    _check_step_in_type(state, dt)
     spin = np.linalg.norm(np.asarray(state.angular_velocity, float), axis=-1)
     angle = float(dt) * float(spin.max(initial=0.0))
     if angle > np.pi / 2:

@@ -122,7 +122,7 @@ def test_momentum_and_angular_momentum_of_free_bodies_are_kept(runs, tolerance):
     assert path.contact.points[:, -1].min() >= 1
     tol = tolerance(float64=1e-13, float32=2e-5)
     assert np.abs(momentum - momentum[:, :1]).max() <= tol * np.abs(momentum).max()
-    # With restitution each blow acts at its own time, on levers of the step's start: of first order in the step.
+    # With restitution each blow acts at its own time, on levers of the step's start: of first order where they turn.
     off = np.abs(turning - turning[:, :1]).max() / np.abs(turning).max()
     assert off <= (0.05 if bouncing else tol)
 

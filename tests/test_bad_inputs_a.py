@@ -1,6 +1,6 @@
-"""Bad states: refused, warned of or flagged, with what, which body, which value, and what to do.
+"""A. Bad states: refused, warned of or flagged, with what, which body, which value, and what to do.
 
-The numbers in brackets are those of the project's list of bad inputs.
+The numbers in brackets are those of the project's list of bad inputs, 1 to 98, letters A to G, a file a letter.
 """
 
 import jax
@@ -93,6 +93,28 @@ STATES = {
     "complex numbers": ({"velocity": (1j, 0, 0)}, InvalidInput, "is not a real number"),
     "ragged rows": ({"position": [[0, 0, 0], [0, 0]]}, InvalidInput, "is not a real number"),
     "NaN time": ({"time": np.nan}, InvalidInput, r"state\.time is .*nan.* s"),
+    "numbers of True and False [16]": (
+        {"position": jnp.asarray([True, False, True])},
+        InvalidInput,
+        r"state\.position: an array of bool is none of real numbers",
+    ),
+    "complex array [16]": (
+        {"velocity": jnp.asarray([1j, 0, 0])},
+        InvalidInput,
+        r"state\.velocity: an array of complex\d+ is none",
+    ),
+    "time too large for float32 [14]": (
+        {"time": 1e39, "dtype": np.float32},
+        InvalidInput,
+        r"state\.time is 1e\+39 s, too large for float32",
+    ),
+    "a time a body": ({"time": [0.0, 1.0]}, WrongStructure, r"state\.time: shape \(2,\); give one number"),
+    "half precision [16]": (
+        {"dtype": np.float16},
+        WrongStructure,
+        "float16 is not a floating type of a run; use float32 or float64",
+    ),
+    "type that does not exist [16]": ({"dtype": "float99"}, WrongStructure, "'float99' is no type"),
     "integer type": ({"dtype": np.int32}, WrongStructure, "int32 is not a floating type"),
     "no representation": (
         {"rotation": "quaternion"},
@@ -197,3 +219,28 @@ def test_state_of_another_scene_is_refused(scene, state):
         rb.rollout(scene, jax.tree.map(lambda x: x[None], state), dt=1e-3, steps=1)
     with pytest.raises(WrongStructure, match="ndarray is no State"):
         rb.rollout(scene, np.zeros(3), dt=1e-3, steps=1)
+
+
+def test_half_precision_is_used_as_single_with_a_warning(scene, dtype):
+    """[16]"""
+    with pytest.warns(JaxrbWarning, match="array of float16 was given; a run needs float32"):
+        assert scene.state(position=np.zeros(3, np.float16)).dtype == jnp.float32
+
+
+def test_spin_of_1e8_is_warned_of_and_what_it_does_to_the_energy_is_known(tolerance):
+    """[12] Steps of 1e5 rad: nothing of the attitude is right, and the run says so in one way or another."""
+    scene = rb.Scene(rb.Body(1.0, (1.0, 2.0, 3.0)))
+    state = scene.state(angular_velocity=(1e8, 1e8, 0.0))
+    with pytest.warns(JaxrbWarning, match="turns body 0 by 1.4142.*e.05 rad a step|turns body 0 by 141421"):
+        path = rb.rollout(scene, state, dt=1e-3, steps=20, on_error="flag")
+    assert int(path.status.reason[0]) == NOT_FINITE
+    with pytest.warns(JaxrbWarning, match="turns body 0"):
+        kept = rb.rollout(scene, state, dt=1e-3, steps=20, method="ThreeAxisSplitting", on_error="flag")
+    energy = np.asarray(kept.diagnostics.energy, float)
+    if bool(kept.status.ok):  # within the energies that the momentum allows
+        assert energy.max() <= 3.1 * energy[0]
+    # The closed form has all its digits.
+    exact = rb.free_flight(scene, state, 1.0)
+    assert float(rb.energy(scene, exact)) == pytest.approx(
+        energy[0], rel=tolerance(float64=1e-12, float32=1e-5)
+    )

@@ -1,0 +1,131 @@
+"""NPZ files: read without trusting what they say of themselves, written whole or not at all."""
+
+import os
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxrb.errors import InvalidInput, JaxrbError, LimitExceeded
+
+
+def read_arrays(path: Path, max_bytes: int, kinds: str = "iufU") -> dict[str, np.ndarray]:
+    """All arrays of an NPZ file. Sizes are checked against the headers before any memory is asked for.
+
+    `kinds`: NumPy's letters of the types that a field may have; never "O", objects of Python, which run code when read.
+
+    Raises:
+        InvalidInput: no whole NPZ file of numbers and text. LimitExceeded: it would unpack to more than `max_bytes`.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            total = sum(member.file_size for member in members)
+            if total > max_bytes:
+                raise LimitExceeded(
+                    f"{path}: would unpack to {total} bytes, more than max_bytes={max_bytes}. "
+                    "Cut it, or raise max_bytes."
+                )
+            names = [member.filename.removesuffix(".npy") for member in members]
+            if twice := {name for name in names if names.count(name) > 1}:
+                raise InvalidInput(f"{path}: field '{twice.pop()}' is there twice. Copy or record it again.")
+            return {name: _read_array(path, archive, m, kinds) for name, m in zip(names, members)}
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:
+        raise InvalidInput(f"{path}: not a whole NPZ file ({error}). Copy or record it again.") from error
+
+
+def _read_array(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: str) -> np.ndarray:
+    name = member.filename.removesuffix(".npy")
+    try:
+        with archive.open(member) as stream:
+            version = np.lib.format.read_magic(stream)
+            reader = (
+                np.lib.format.read_array_header_1_0
+                if version == (1, 0)
+                else np.lib.format.read_array_header_2_0
+            )
+            shape, _, dtype = reader(stream)
+            promised = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
+        # An array of Python objects could run code when read, and a false shape could ask for any memory.
+        if dtype.kind not in kinds or promised > member.file_size:
+            raise InvalidInput(
+                f"{path}: field '{name}' is said to hold {shape} of {dtype}, which is no array of numbers "
+                f"or text that fits its {member.file_size} bytes."
+            )
+        with archive.open(member) as stream:
+            return np.lib.format.read_array(stream, allow_pickle=False)
+    except ValueError as error:
+        if isinstance(error, JaxrbError):
+            raise
+        raise InvalidInput(f"{path}: field '{name}' is not an array ({error}).") from error
+
+
+def check_target(path: Path) -> None:
+    """Refuse a place at which no file can be put, before anything is computed for it.
+
+    Raises:
+        InvalidInput: a folder, a link, something that is no file, or a folder that does not exist.
+    """
+    if path.is_dir():
+        raise InvalidInput(f"{path}: is a folder; give the name of a file in it")
+    if path.is_symlink():
+        raise InvalidInput(
+            f"{path}: is a link to {os.readlink(path)}, which replacing would cut; give that name"
+        )
+    if path.exists() and not path.is_file():
+        raise InvalidInput(f"{path}: is no ordinary file; give the name of one")
+    if not path.parent.is_dir():
+        raise InvalidInput(f"{path}: could not be written: there is no folder {path.parent}; make it first")
+
+
+def write_whole(path: Path, write: Callable[[Any], None]) -> None:
+    """Let `write(stream)` fill a new file, put it on the disk, and only then give it the name `path`.
+
+    An older file of that name survives every failure, a killed process and a full disk among them: it is replaced in
+    one operation of the file system, after the new bytes have left the system's buffers.
+
+    Raises:
+        InvalidInput: see `check_target`. JaxrbError: where the operating system refuses, with its reason.
+    """
+    check_target(path)
+    scratch = None
+    try:
+        handle, scratch = tempfile.mkstemp(dir=path.parent, prefix=scratch_prefix(path), suffix=".partial")
+        with os.fdopen(handle, "wb") as stream:
+            write(stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(scratch, 0o644)  # mkstemp makes it private
+        os.replace(scratch, path)
+        scratch = None
+        _sync_folder(path.parent)
+    except OSError as error:
+        raise JaxrbError(
+            f"{path}: could not be written ({error}). Nothing was changed there; make room, or give another place."
+        ) from error
+    finally:
+        if scratch is not None and os.path.exists(scratch):
+            os.unlink(scratch)
+
+
+def scratch_prefix(path: Path) -> str:
+    """How the names of unfinished files of `write_whole` begin."""
+    return f".{path.name}."
+
+
+def _sync_folder(folder: Path) -> None:
+    """The new name too has to reach the disk, where the system lets a folder be opened."""
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError:
+        return
+    try:
+        os.fsync(handle)
+    except OSError:
+        pass  # a file system without it: the name is written when the system likes
+    finally:
+        os.close(handle)
