@@ -13,7 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.body.state import State
+from jaxrb.compilation import compiler_options
 from jaxrb.errors import InvalidInput
+from jaxrb.integrators.method import Method
 from jaxrb.integrators.names import method_of
 from jaxrb.math.euler_angles import EulerAngles
 from jaxrb.math.matrix import RotationMatrix
@@ -21,13 +23,12 @@ from jaxrb.math.quaternion import Quaternion
 from jaxrb.scene.example import Example
 from jaxrb.scene.library import example_of
 from jaxrb.scene.path import Path
-from jaxrb.scene.rollout import rollout
 from jaxrb.scene.scene import Scene
 from jaxrb.scene.settings import check_positive, check_representation, warn_of_coarse_steps
-from jaxrb.scene.status import Status
+from jaxrb.scene.stretch import begun, report_of, room_for, stretched
 from jaxrb.tables import table
 
-SAVES, CHUNKS = 200, 20  # about so many saved states, and chunks between which the bar moves
+SAVES, STRETCHES = 200, 20  # about so many saved states, and stretches after which the bar moves
 REPRESENTATIONS = {"quaternion": Quaternion, "matrix": RotationMatrix, "euler": EulerAngles}
 _DEFAULT_STEPS = 1000  # of a scene that names no step
 
@@ -41,6 +42,7 @@ def simulate(
     representation: Literal["quaternion", "matrix", "euler"] = "quaternion",
     save: File | None = None,
     plot: File | None = None,
+    html: File | None = None,
     json: bool = False,
 ) -> None:
     """Run a scene: its energy, what contact did, and the time that it took.
@@ -58,6 +60,7 @@ def simulate(
         representation: of rotations.
         save: write the saved states, energies and the report of contact into this NumPy file (.npz).
         plot: draw heights and energy over time and the bodies at the end, from the side, into this file.
+        html: write a page that plays the run, without a network, into this file (see `jaxrb view`).
         json: print one JSON object instead of a table.
     """
     example = example_of(scene)
@@ -71,6 +74,10 @@ def simulate(
         from jaxrb.view.simulation_figure import simulation_figure
 
         figures.save(simulation_figure(path, example), plot)
+    if html is not None:
+        from jaxrb.view.viewer import view
+
+        view(path, html, title=f"{example.name}: {example.about}")
     if json:
         print(json_text.dumps(facts))
         return
@@ -101,8 +108,7 @@ def run(
     check_representation(how, state)
     warn_of_coarse_steps(example.scene, state, step, how)
     steps = max(1, round(span / step))
-    parts, compiling, running = _chunks(example.scene, state, step, steps, how, bar)
-    path = _joined(parts)
+    path, compiling, running = _in_stretches(example.scene, state, step, steps, how, bar)
     energy = np.asarray(path.diagnostics.energy, float)
     facts: dict[str, Any] = {
         "scene": example.name,
@@ -138,88 +144,45 @@ def _contact_facts(path: Path, steps: int) -> dict[str, Any]:
     }
 
 
-def _chunks(
-    scene: Scene, state: State, dt: float, steps: int, method: Any, bar: bool
-) -> tuple[list[Path], float, float]:
-    """The run in stretches of one program, on the host so that a bar can move and a failure stops it."""
+def _in_stretches(
+    scene: Scene, state: State, dt: float, steps: int, method: Method, bar: bool
+) -> tuple[Path, float, float]:
+    """The run in stretches of one program, on the host so that a bar can move and a failure stops it; and the seconds
+    that compiling and running took."""
     from tqdm import tqdm
 
-    length, every = layout(steps)
-
-    def stretch(scene: Scene, state: State, dt: Any, method: Any, count: int, every: int) -> Path:
-        return rollout(scene, state, dt=dt, steps=count, save_every=every, method=method, on_error="flag")
-
-    program = jax.jit(stretch, static_argnums=(4, 5))
-    step = jnp.asarray(dt, state.dtype)
-    parts, done, compiling, running = [], 0, 0.0, 0.0
-    compiled: dict[int, Any] = {}
-    with tqdm(total=steps, disable=not bar, leave=False, unit=" steps") as progress:
-        for count, saved in _stretches(steps, length, every):
-            began = time.perf_counter()
-            if count not in compiled:
-                compiled[count] = program.lower(scene, state, step, method, count, saved).compile()
-            ready = time.perf_counter()
-            path = jax.block_until_ready(compiled[count](scene, state, step, method))
-            compiling, running = compiling + ready - began, running + time.perf_counter() - ready
-            _raise_if_bad(path.status, done)
-            done, state = done + count, path.final
-            parts.append(path)
-            progress.update(count)
-    return parts, compiling, running
-
-
-def _stretches(steps: int, length: int, every: int) -> Iterator[tuple[int, int]]:
-    """Steps of each stretch, and how many of them lie between saves."""
-    for _ in range(steps // length):
-        yield length, every
-    if rest := steps % length:
-        yield rest, rest
+    every = near_divisor(steps, steps / SAVES)
+    length = every * max(1, round(steps / every / STRETCHES))
+    began = time.perf_counter()
+    step, apart = jnp.asarray(dt, state.dtype), jnp.asarray(every, jnp.int32)
+    progress = begun(scene, state, method)
+    room = room_for(length // every)
+    lowered = stretched.lower(scene, progress, None, step, method, apart, apart, room=room)
+    program = lowered.compile(compiler_options=compiler_options())
+    compiling, began = time.perf_counter() - began, time.perf_counter()
+    rows = [jax.tree.map(lambda x: np.asarray(x)[None], (state, report_of(progress)))]
+    done = 0
+    with tqdm(total=steps, disable=not bar, leave=False, unit=" steps") as shown:
+        while done < steps:
+            end = min(done + length, steps)
+            progress, part = program(scene, progress, None, step, method, jnp.asarray(end, jnp.int32), apart)
+            part.status.raise_if_bad()
+            saved = int(part.saved)
+            rows.append(jax.tree.map(lambda x, n=saved: np.asarray(x)[:n], (part.states, part.contact)))
+            shown.update(end - done)
+            done = end
+    if steps % every:
+        rows.append(jax.tree.map(lambda x: np.asarray(x)[None], (progress.state, report_of(progress))))
+    running = time.perf_counter() - began
+    states, contact = jax.tree.map(lambda *x: np.concatenate(x), *rows)
+    path = Path(states.time, states, progress.state, part.status, scene, None, contact)
+    return path, compiling, running
 
 
-def layout(steps: int) -> tuple[int, int]:
-    """Steps of a stretch and between saves: divisors where there are fitting ones, since a rest is a second program."""
-    length = _near_divisor(steps, steps / CHUNKS)
-    return length, _near_divisor(length, max(1.0, steps / SAVES))
-
-
-def _near_divisor(number: int, wanted: float) -> int:
+def near_divisor(number: int, wanted: float) -> int:
+    """A divisor of `number` near the one wanted, so that the last state saved is the last of the run."""
     found = [d for d in range(1, number + 1) if number % d == 0 and wanted / 4 <= d <= 4 * wanted]
     return min(found, key=lambda d: abs(math.log(d / wanted)), default=max(1, round(wanted)))
-
-
-def _raise_if_bad(status: Status, done: int) -> None:
-    first = jnp.where(status.first_bad_step >= 0, status.first_bad_step + done, status.first_bad_step)
-    Status(status.reason, first).raise_if_bad()
-
-
-def _joined(parts: list[Path]) -> Path:
-    """One path of all; the report of contact, which each stretch begins anew, summed up."""
-    later = parts[1:]
-    times, states, contact = jax.tree.map(
-        lambda first, *others: np.concatenate([first, *(other[1:] for other in others)]),
-        *[(part.times, part.states, None) for part in parts],
-    )
-    if parts[0].contact is not None:
-        contact = _reports([part.contact for part in parts])
-    last = later[-1] if later else parts[0]
-    return Path(times, states, last.final, last.status, last.scene, None, contact)
-
-
-def _reports(reports: list[Any]) -> Any:
-    """Reports with leading axis of saves, each of its own stretch, as one of the run."""
-    largest = ("penetration", "residual", "points")
-    joined = jax.tree.map(np.array, reports[0])
-    for report in reports[1:]:
-        before, fields = jax.tree.map(lambda leaf: leaf[-1], joined), {}
-        for name in vars(joined):
-            old, new = getattr(before, name), np.asarray(getattr(report, name))[1:]
-            if name in largest:
-                new = np.maximum(old, new)
-            elif name != "overflow":  # a run in which that happens does not get here
-                new = old + new
-            fields[name] = np.concatenate([getattr(joined, name), new])
-        joined = type(joined)(**fields)
-    return joined
 
 
 def arrays(path: Path) -> dict[str, np.ndarray]:

@@ -7,6 +7,7 @@ from conftest import ORACLE
 
 from jaxrb.accuracy.reference import closed_form, errors, reference
 from jaxrb.bench import peers, simbenchmark, tosses
+from jaxrb.bench.flight_rows import _box_judge, _jaxrb, _mujoco, rotated
 from jaxrb.bench.published import (
     BOUNCING,
     ELASTIC_666,
@@ -18,7 +19,7 @@ from jaxrb.bench.published import (
     TUMBLING_BRICK_END,
 )
 from jaxrb.bench.rigid_body_problem import MOMENTS, SCALES, exact_end, problem
-from jaxrb.bench.scoreboard import ROWS, _box_judge, _jaxrb, _mujoco, rotated, rows_of
+from jaxrb.bench.scoreboard import ROWS, rows_of
 from jaxrb.errors import UnknownName
 from jaxrb.scene.contact_library import slab_with_balls, spheres_216
 from jaxrb.scene.library import gazebo_boxes, tumbling_brick

@@ -10,9 +10,9 @@ import pytest
 import jaxrb as rb
 from jaxrb.errors import InvalidInput, RunFailed, UnknownName
 from jaxrb.scene.contact_library import CONTACT_SCENES, block_on_incline
+from jaxrb.scene.example import Example
 from jaxrb.scene.library import SCENES, example_of
-from jaxrb.scene.status import NOT_FINITE, Status
-from jaxrb.simulate import CHUNKS, _raise_if_bad, arrays, layout, run
+from jaxrb.simulate import SAVES, arrays, near_divisor, run
 from jaxrb.view.side_view import outlines, side_of
 from jaxrb.view.simulation_figure import simulation_figure
 
@@ -78,7 +78,11 @@ def test_stretches_are_one_run(slide, tolerance):
     example = block_on_incline()
     steps = facts["steps"]
     whole = rb.rollout(
-        example.scene, example.state(), dt=example.dt, steps=steps, save_every=layout(steps)[1]
+        example.scene,
+        example.state(),
+        dt=example.dt,
+        steps=steps,
+        save_every=near_divisor(steps, steps / SAVES),
     )
     near = {"rtol": 0, "atol": tolerance(float64=1e-8, float32=1e-4)}
     np.testing.assert_allclose(path.times, whole.times, **near)
@@ -89,20 +93,22 @@ def test_stretches_are_one_run(slide, tolerance):
     assert path.contact.overflow[-1] == -1
 
 
-@pytest.mark.parametrize("steps", [1, 7, 100, 1000, 1009, 1200, 10_000])
-def test_layout_covers_all_steps_with_few_programs(steps):
-    length, every = layout(steps)
-    assert 1 <= every <= length <= steps
-    assert length % every == 0
-    assert steps / length <= 4 * CHUNKS + 1
-    if steps in (100, 1000, 1200, 10_000):
-        assert steps % length == 0
+def test_saves_end_with_the_run():
+    for steps, last in ((1, 1), (7, 7), (1000, 5), (1200, 6), (10_000, 50), (1009, 5)):
+        assert near_divisor(steps, steps / SAVES) <= last
+    path, facts = run(block_on_incline(), dt=5e-3, duration=1009 * 5e-3 / 8)
+    assert path.times[-1] == path.final.time == pytest.approx(facts["steps"] * 5e-3)
 
 
 def test_failure_is_told_by_the_step_of_the_whole_run():
-    status = Status(jnp.array([0, NOT_FINITE]), jnp.array([-1, 3]))
-    with pytest.raises(RunFailed, match=r"body 1.*step 53"):
-        _raise_if_bad(status, 50)
+    """A ball is lost in the 53rd step of 100, which is one of the later stretches."""
+
+    def lost(body, state, parameters):
+        return rb.Wrench(jnp.where(state.time > 0.515, jnp.nan, 0.0) + 0.0 * state.position)
+
+    scene = rb.Scene(rb.Body.from_shape(rb.Sphere(0.1), 500.0), rb.CustomForce(lost))
+    with pytest.raises(RunFailed, match=r"body 0.*step 53"):
+        run(Example("lost", "a ball", scene, {}, 1.0, 1e-2), method="ExplicitEuler")
 
 
 def test_saved_arrays_have_one_row_a_save(slide):

@@ -29,10 +29,8 @@ GOAL = 1e-6  # of every gradient
 LOSS_GOAL = 1.396
 # Of the problem in continuous time: the best push is a straight line in time, found on a grid of two numbers.
 LEAST_LOSS = 1.39656
-BOUNCING_GOAL, ELASTIC_GOAL = (
-    1e-18,
-    8.37e-10,
-)  # J²; the second a ten-thousand-millionth of RaiSim's at dt 1e-3
+BOUNCING_GOAL = 1e-18  # J²
+ELASTIC_GOAL = 8.37e-10  # J², a ten-thousand-millionth of RaiSim's at dt 1e-3
 STEPS, EFFORT, RADIUS = 480, 0.1, 0.2  # of task 3
 _SOURCE = "Zhong, Han, Brikis 2022, diff_sim_grads"
 
@@ -115,10 +113,9 @@ def control_row(length: str = "default") -> Iterator[Entry]:
     # The published programs kick at the start of each step; that is another problem, with a lower optimum.
     for kicked, setting in ((False, "push"), (True, "kicks, as published")) if rounds else ():
         loss, cpu, wall = _clocked(lambda kicked=kicked: optimised_control(rounds, kicked))
-        goal = LOSS_GOAL if kicked else LEAST_LOSS + 1e-3
-        said = f"≤ {goal}" if kicked else f"optimum {LEAST_LOSS}, within 1e-3"
+        said = f"≤ {LOSS_GOAL}" if kicked else f"≤ {LOSS_GOAL}; exact physics {LEAST_LOSS}"
         costs = {"cpu_s": cpu, "wall_s": wall}
-        yield _judged(f"{setting}, {rounds} gradients", {"loss": loss}, loss <= goal, said, costs)
+        yield _judged(f"{setting}, {rounds} gradients", {"loss": loss}, loss <= LOSS_GOAL, said, costs)
 
 
 def control_start() -> tuple[np.ndarray, np.ndarray]:
@@ -216,18 +213,20 @@ def bouncing_events_row(length: str = "default") -> Iterator[Entry]:
     scene = Scene(replicate(ball, 49), (GRAVITY, RigidContact(HalfSpace(), restitution=1.0)))
     state = scene.state([(float(i % 7), float(i // 7), 5.0) for i in range(49)])
     duration = 5.0 if length == "quick" else 20.0
-    yield _energy_entry(scene, state, duration, 100, None, BOUNCING_GOAL)
+    yield _energy_entry(scene, state, duration, 100, None, BOUNCING_GOAL if duration >= 20.0 else None)
 
 
 def elastic_events_row(length: str = "default") -> Iterator[Entry]:
     """SimBenchmark's 666 without loss with every impact at its own time, for as long as named."""
     duration, most = {"quick": (0.5, 2000), "default": (1.0, 20_000), "long": (10.0, 400_000)}[length]
     example = spheres_216(True, 0, 6 * 216)
-    yield _energy_entry(example.scene, example.state(), duration, most, 5e-3, ELASTIC_GOAL)
+    # Over less than the published time a figure is no match for a published one.
+    goal = ELASTIC_GOAL if duration >= 10.0 else None
+    yield _energy_entry(example.scene, example.state(), duration, most, 5e-3, goal)
 
 
 def _energy_entry(
-    scene: Scene, state: Any, duration: float, most: int, dt: float | None, goal: float
+    scene: Scene, state: Any, duration: float, most: int, dt: float | None, goal: float | None
 ) -> Entry:
     times = np.linspace(0.0, duration, 201)
     settings = {"times": times, "max_events": most, "dt": dt, "on_error": "flag"}
@@ -238,8 +237,10 @@ def _energy_entry(
 
     path, costs = _timed(run, scene, state)
     figures = {"impacts": int(path.events.count), "energy_j2": energy_error(path)}
-    met = figures["energy_j2"] <= goal
-    entry = _judged(f"{duration:g} s", figures, met, f"≤ {goal:.3g}", costs)
+    met = goal is not None and figures["energy_j2"] <= goal
+    entry = _judged(f"{duration:g} s", figures, met, "" if goal is None else f"≤ {goal:.3g}", costs)
+    if goal is None:
+        entry["verdict"] = "no goal for this"
     return (
         entry if bool(path.status.ok) else {**entry, "verdict": f"FAILED at {float(path.final.time):.3g} s"}
     )

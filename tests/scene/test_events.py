@@ -117,7 +117,8 @@ def test_four_corners_at_once_are_one_impact(dtype, tolerance):
         numbers, _ = box_numbers(seed)
         still = {"turn": np.zeros(3), "velocity": np.array([0.0, 0.0, -1.0]), "t1": 0.5}
         position = np.array([0.0, 0.0, numbers["half"][2] + 0.3])
-        cases.append({**numbers, **still, "gravity": np.array([0.0, 0.0, -5.0]), "position": position})
+        bounce = {"e": np.asarray(0.4 + 0.6 * seed / 60), "gravity": np.array([0.0, 0.0, -5.0])}  # once in 0.5 s
+        cases.append({**numbers, **still, **bounce, "position": position})
     numbers = worlds(cases, dtype)
     gradient, (vector, ok) = with_gradient(box_on_plane, 9)(numbers)
     assert bool(ok.all())
