@@ -71,27 +71,34 @@ def solve_contacts(problem: Problem, start: Vector) -> Solution:
     start = jnp.where(c.active[..., None] & (taken > 0), start, 0.0)
     motion = problem.moved_by(start)
     velocity = c.relative_velocity(motion)
+    asked = problem.tolerance * taken
     # Round-off of a velocity is an impulse by 1/R: nothing below that can be told.
-    fastest = jnp.max(jnp.abs(problem.free), initial=0.0)
-    known = 4 * jnp.finfo(motion.dtype).eps * fastest / firm
-    tolerance = jnp.maximum(problem.tolerance * taken, known)
+    known = 4 * jnp.finfo(motion.dtype).eps * jnp.max(jnp.abs(problem.free), initial=0.0)
+    as_good = jnp.maximum(asked, known)
+    tolerance = jnp.maximum(asked, known / firm)
     # Far from the answer a soft law finds sooner who presses whom: its equations are better conditioned.
     far = _speed_to_take(problem, motion) > 0.1 * taken
     softness = jnp.where(far, _SOFT, firm).astype(motion.dtype)
 
     def going(carry: Any) -> Any:
-        return (carry[0] < _NEWTON_STEPS) & (carry[-2] > tolerance)
+        return (carry[0] < _NEWTON_STEPS) & (carry[-3] > tolerance)
 
     def step(carry: Any) -> Any:
-        count, motion, velocity, held, whole, softness, _, products = carry
+        count, motion, velocity, held, whole, softness, *_, products = carry
         stiffness = unit / softness
         given = _Given(problem, unit, stiffness, motion, velocity)
-        held, gap, wanted, impulse, residual, follows = given.with_multipliers(held, tolerance, count == 0)
+        first = count == 0
+        held, gap, wanted, impulse, change, off, follows = given.with_multipliers(held, tolerance, first)
+        broken = given.broken(held)
+        # The start is as good as the law says. What is found here is better than that by 1/R, for nothing: it goes on
+        # until a round changes nothing, so that the next step can begin with it.
+        residual = jnp.maximum(jnp.maximum(change, off), jnp.where(follows, 0.0, 2 * tolerance))
+        residual = jnp.where(first & (broken <= as_good), broken, residual)
+        left = jnp.where(first, broken, jnp.maximum(broken, off))
         bound = problem.bound(held)
         bend = settled(curvature(wanted, c.normal[:, None], bound, stiffness))
         # While points still open and close, a rough direction is as good as any; then one exact solve ends it.
-        off = problem.felt(gap)
-        rough = jnp.where(whole, jnp.clip(0.1 * tolerance / off, _EXACT, _ROUGH), _ROUGH)
+        rough = jnp.where(whole, jnp.clip(0.1 * tolerance / problem.felt(gap), _EXACT, _ROUGH), _ROUGH)
         right = jnp.where(residual > tolerance, -gap, 0.0)
         direction, used = _newton_direction(problem, bend, right, rough)
         rate = c.relative_velocity(direction)
@@ -99,12 +106,12 @@ def solve_contacts(problem: Problem, start: Vector) -> Solution:
         motion, velocity = motion + length * direction, velocity + length * rate
         # A round made with this compliance is done; the next may be firmer. (The law above must not change within it.)
         softness = jnp.where(follows, jnp.maximum(firm, 0.1 * softness), softness)
-        return count + 1, motion, velocity, held, length >= 1, softness, residual, products + used
+        return count + 1, motion, velocity, held, length >= 1, softness, residual, left, products + used
 
     none = jnp.zeros((), jnp.int32)
     unknown = jnp.where(taken > 0, jnp.inf, 0.0).astype(motion.dtype)
-    carry = (none, motion, velocity, start, jnp.ones((), bool), softness, unknown, none)
-    count, _, _, held, _, _, residual, products = lax.while_loop(going, step, carry)
+    carry = (none, motion, velocity, start, jnp.ones((), bool), softness, unknown, unknown, none)
+    count, _, _, held, _, _, _, residual, products = lax.while_loop(going, step, carry)
     poor = residual > jnp.maximum(_POOR * taken, tolerance)
     held = jnp.where(poor, _passive_share(problem, held), 1.0) * held
     # By the impulses themselves, so that momentum is kept to round-off whatever the tolerance.
@@ -130,17 +137,17 @@ class _Given(NamedTuple):
 
     def with_multipliers(
         self, held: Vector, tolerance: Scalar, first: Array
-    ) -> tuple[Vector, Array, Vector, Vector, Scalar, Array]:
+    ) -> tuple[Vector, Array, Vector, Vector, Scalar, Scalar, Array]:
         """The multipliers, which follow once the motion is right for those held; what the motion is then not explained
-        by, M (u − free) − Jᵀ λ (n, 6); the impulses before and after projection; the residual [m/s]; and whether
-        they followed.
+        by, M (u − free) − Jᵀ λ (n, 6); the impulses before and after projection; by how much the impulses changed, and
+        how much was unexplained, as bodies feel it [m/s]; and whether they followed.
 
         At `first` the motion is that of the multipliers held, and these are the answer if they fulfil the law.
         """
         problem = self.problem
 
         def look(round_: Any, carry: Any) -> Any:
-            held, _, wanted, impulse, left, followed = carry
+            held, _, wanted, impulse, *before, followed = carry
             wanted = problem.wanted(held, self.velocity, self.stiffness)
             impulse = problem.projected(wanted, problem.bound(held))
             gap = problem.momentum(self.motion - problem.free) - problem.contacts.impulse_on_bodies(impulse)
@@ -151,18 +158,15 @@ class _Given(NamedTuple):
             follow = (round_ == 0) & ~first & (off <= jnp.maximum(tolerance, 0.1 * change))
             return (
                 jnp.where(follow, impulse, held), gap, wanted, impulse,
-                jnp.where(round_ == 0, off, left), followed | follow,
+                jnp.where(round_ == 0, change, before[0]), jnp.where(round_ == 0, off, before[1]), followed | follow,
             )  # fmt: skip
 
-        start = (held, self.motion, held, held, jnp.zeros_like(tolerance), jnp.zeros((), bool))
+        none = jnp.zeros_like(tolerance)
+        start = (held, self.motion, held, held, none, none, jnp.zeros((), bool))
         # A loop of two rounds, so that the law stands in the program once: compile time is waiting time.
-        held, gap, wanted, impulse, off, followed = lax.fori_loop(0, 2, look, start)
-        broken = self._broken(held)
-        residual = jnp.where(first, broken, jnp.maximum(broken, off))
-        residual = jnp.where(first | followed, residual, jnp.maximum(residual, 2 * tolerance))
-        return held, gap, wanted, impulse, residual, followed
+        return lax.fori_loop(0, 2, look, start)
 
-    def _broken(self, impulse: Vector) -> Scalar:
+    def broken(self, impulse: Vector) -> Scalar:
         """By how much impulses and the velocity break the law at any point [m/s]; no compliance is in it.
 
         Measured by the change of the impulses in a round instead, a velocity off by 1e-11 would count 1/R as much: a
