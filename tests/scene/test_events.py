@@ -73,7 +73,9 @@ def compared(end, size, numbers, *more):
 def test_eighty_balls_on_tilted_planes(dtype, tolerance):
     numbers = worlds([ball_numbers(seed) for seed in range(80)], dtype)
     off = compared(ball_on_plane, 9, numbers)
-    if dtype == jnp.float64:  # in float32 a point near the switch may stick where it slides, which is another slope
+    if (
+        dtype == jnp.float64
+    ):  # in float32 a point near the switch may stick where it slides, which is another slope
         assert max(off.values()) < 1e-8, off
     assert off["end"] < tolerance(float64=1e-13, float32=2e-5)
 
@@ -81,7 +83,9 @@ def test_eighty_balls_on_tilted_planes(dtype, tolerance):
 def test_sixty_pairs_of_balls(dtype, tolerance):
     numbers = worlds([pair_numbers(seed) for seed in range(60)], dtype)
     off = compared(two_balls, 18, numbers)
-    if dtype == jnp.float64:  # in float32 a point near the switch may stick where it slides, which is another slope
+    if (
+        dtype == jnp.float64
+    ):  # in float32 a point near the switch may stick where it slides, which is another slope
         assert max(off.values()) < 1e-8, off
     assert off["end"] < tolerance(float64=1e-13, float32=2e-5)
 
@@ -91,7 +95,9 @@ def test_sixty_boxes_on_a_corner(dtype, tolerance):
     corners = worlds([corner for _, corner in cases], dtype)
     numbers = worlds([numbers for numbers, _ in cases], dtype)
     off = compared(box_on_plane, 9, numbers, corners)
-    if dtype == jnp.float64:  # in float32 a point near the switch may stick where it slides, which is another slope
+    if (
+        dtype == jnp.float64
+    ):  # in float32 a point near the switch may stick where it slides, which is another slope
         assert max(off.values()) < 1e-7, off
     assert off["end"] < tolerance(float64=1e-13, float32=2e-4)
 
@@ -120,7 +126,10 @@ def test_four_corners_at_once_are_one_impact(dtype, tolerance):
         numbers, _ = box_numbers(seed)
         still = {"turn": np.zeros(3), "velocity": np.array([0.0, 0.0, -1.0]), "t1": 0.5}
         position = np.array([0.0, 0.0, numbers["half"][2] + 0.3])
-        bounce = {"e": np.asarray(0.4 + 0.6 * seed / 60), "gravity": np.array([0.0, 0.0, -5.0])}  # once in 0.5 s
+        bounce = {
+            "e": np.asarray(0.4 + 0.6 * seed / 60),
+            "gravity": np.array([0.0, 0.0, -5.0]),
+        }  # once in 0.5 s
         cases.append({**numbers, **still, **bounce, "position": position})
     numbers = worlds(cases, dtype)
     gradient, (vector, ok) = with_gradient(box_on_plane, 9)(numbers)
