@@ -157,8 +157,9 @@ def _check_axes(body: Body) -> None:
     axes = {
         "mass": np.shape(body.mass),
         "inertia": moments[:-1] if body.inertia.rank else moments,
-        "center_of_mass": np.shape(body.center_of_mass)[:-1],
     }
+    if np.ndim(body.center_of_mass) > 1:  # one place serves all bodies
+        axes["center_of_mass"] = np.shape(body.center_of_mass)[:-1]
     if len(set(axes.values())) > 1:
         said = ", ".join(f"{name} {axis}" for name, axis in axes.items())
         raise WrongStructure(
