@@ -250,7 +250,7 @@ def test_lossless_bounces_keep_the_energy(bouncing, dtype, tolerance):
     count = int(path.events.count)
     assert count == int((4.0 - period / 2) / period) + 1
     np.testing.assert_allclose(
-        np.diff(path.events.time[:count]), period, rtol=tolerance(float64=1e-12, float32=1e-5)
+        np.diff(path.events.time[:count]), period, rtol=tolerance(float64=1e-12, float32=1e-4)
     )
     np.testing.assert_array_equal(path.events.pair[:count], [[0, -1]] * count)
     np.testing.assert_array_equal(path.events.pair[count:], -2)
