@@ -97,7 +97,6 @@ def write_recording(recording: Recording, file: str | Path) -> Path:
 
     write_whole(path, write)
     return path
-    return path
 
 
 def _from_arrays(path: Path, arrays: dict[str, np.ndarray], declared: dict[str, Any]) -> Recording:

@@ -10,7 +10,6 @@ from jax import lax
 from jaxrb.body.state import State, finite_per_body
 from jaxrb.compilation import jit
 from jaxrb.contact import SOLVED
-from jaxrb.errors import InvalidInput
 from jaxrb.integrators.method import Method, contact_report
 from jaxrb.integrators.names import method_of
 from jaxrb.integrators.runge_kutta import RungeKutta4
@@ -29,6 +28,7 @@ from jaxrb.scene.settings import (
     check_positive,
     check_representation,
     check_saved_bytes,
+    check_steps,
     check_tolerance,
     warn_of_coarse_steps,
 )
@@ -64,8 +64,7 @@ def rollout(
     check_choice("on_error", on_error, ON_ERROR)
     steps, save_every = check_count("steps", steps, 0), check_count("save_every", save_every, 1)
     check_saved_bytes(state, steps // save_every + 1, max_bytes)
-    if steps >= 2**31:
-        raise InvalidInput(f"steps is {steps}, but one rollout counts to 2^31 − 1; continue from path.final")
+    check_steps("rollout", steps)
     torque = applied_torque(torque, state, steps)
     check_adjoint(adjoint, method, torque)
     if adjoint == "reversible":
