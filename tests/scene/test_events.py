@@ -71,7 +71,7 @@ def compared(end, size, numbers, *more):
 
 
 def check(off, dtype, gradients, end):
-    """In float32 a point near the switch may stick where it slides, which is another slope: there only the end counts."""
+    """In float32 a point near the switch may stick where it slides, another slope: there only the end counts."""
     assert off["end"] < end
     if dtype == jnp.float64:
         assert max(off.values()) < gradients, off
