@@ -16,7 +16,6 @@ from jaxrb.body.state import State
 from jaxrb.compilation import compiler_options
 from jaxrb.errors import InvalidInput
 from jaxrb.integrators.method import Method
-from jaxrb.integrators.names import method_of
 from jaxrb.math.euler_angles import EulerAngles
 from jaxrb.math.matrix import RotationMatrix
 from jaxrb.math.quaternion import Quaternion
@@ -24,13 +23,11 @@ from jaxrb.scene.example import Example
 from jaxrb.scene.library import example_of
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene
-from jaxrb.scene.settings import check_positive, check_representation, warn_of_coarse_steps
 from jaxrb.scene.stretch import begun, report_of, room_for, stretched
 from jaxrb.tables import table
 
 SAVES, STRETCHES = 200, 20  # about so many saved states, and stretches after which the bar moves
 REPRESENTATIONS = {"quaternion": Quaternion, "matrix": RotationMatrix, "euler": EulerAngles}
-_DEFAULT_STEPS = 1000  # of a scene that names no step
 
 
 def simulate(
@@ -100,14 +97,7 @@ def run(
         RunFailed: a state that is not finite, or more contacts than there is room for. InvalidInput, UnknownName.
     """
     state = example.state(REPRESENTATIONS[representation])
-    span = example.duration if duration is None else duration
-    check_positive("duration", span)
-    step = next(d for d in (dt, example.dt, span / _DEFAULT_STEPS) if d is not None)
-    check_positive("dt", step)
-    how = method_of(method)
-    check_representation(how, state)
-    warn_of_coarse_steps(example.scene, state, step, how)
-    steps = max(1, round(span / step))
+    how, step, steps = example.steps(state, method, dt, duration)
     path, compiling, running = _in_stretches(example.scene, state, step, steps, how, bar)
     energy = np.asarray(path.diagnostics.energy, float)
     facts: dict[str, Any] = {

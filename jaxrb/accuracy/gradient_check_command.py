@@ -12,13 +12,10 @@ import jax.numpy as jnp
 from jaxrb.accuracy.gradient_check import STEPS, gradient_check
 from jaxrb.accuracy.gradient_check_report import GradientCheck
 from jaxrb.errors import InvalidInput
-from jaxrb.integrators.names import method_of
 from jaxrb.scene.example import Example
 from jaxrb.scene.library import example_of
 from jaxrb.scene.rollout import rollout
-from jaxrb.scene.settings import check_positive, check_representation, warn_of_coarse_steps
 
-_DEFAULT_STEPS = 1000  # of a scene that names no step
 _HORIZONS = 32
 
 
@@ -95,14 +92,7 @@ def checked_run(
         raise InvalidInput(
             f"body is {body}, but {example.name} has {example.scene.count}; numbers start at 0"
         )
-    span = example.duration if duration is None else duration
-    check_positive("duration", span)
-    step = next(d for d in (dt, example.dt, span / _DEFAULT_STEPS) if d is not None)
-    check_positive("dt", step)
-    how = method_of(method)
-    check_representation(how, state)
-    warn_of_coarse_steps(example.scene, state, step, how)
-    steps = max(1, round(span / step))
+    how, step, steps = example.steps(state, method, dt, duration)
 
     def run(numbers: Any, every: int) -> Any:
         moved = eqx.tree_at(lambda s: getattr(s, part), state, getattr(state, part).at[body].set(numbers))
