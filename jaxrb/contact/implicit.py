@@ -22,17 +22,18 @@ from jax import lax
 from jax.ad_checkpoint import checkpoint_name
 
 from jaxrb.contact.law import projected
+from jaxrb.contact.many import solve_all
 from jaxrb.contact.names import SOLVED
 from jaxrb.contact.problem import Problem
-from jaxrb.contact.solver import Solution, compliance, solve_contacts
+from jaxrb.contact.solver import Solution, compliance
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.vector import dot
 
 
 @jax.custom_jvp
 def solve(problem: Problem, start: Vector) -> Solution:
-    """`solve_contacts` with derivatives, forward and reverse, of motion and impulses with respect to `problem`."""
-    return solve_contacts(problem, start)
+    """`solve_all` with derivatives, forward and reverse, of motion and impulses with respect to `problem`."""
+    return solve_all(problem, start)
 
 
 @solve.defjvp

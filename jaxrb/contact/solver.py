@@ -50,7 +50,8 @@ class Solution(eqx.Module):
     """`motion` (n, 6), `impulse` (k, s, 3) [N s] in W, and how it went.
 
     `residual` [m/s]: how far the impulses are from the law, as a velocity; `poor`: whether that is above 1 % of what it
-    takes away. `newton_steps` and `products` of the system's matrix: how many were taken.
+    takes away. `newton_steps` and `products` of the system's matrix: how many were taken, of bodies that
+    know nothing of each other by the one that took most.
     """
 
     motion: Array
@@ -66,7 +67,7 @@ def solve_contacts(problem: Problem, start: Vector) -> Solution:
     c = problem.contacts
     firm = compliance(problem.free.dtype)
     unit = problem.stiffness(1.0)
-    taken = _speed_to_take(problem, problem.free)
+    taken = speed_to_take(problem, problem.free)
     # Where the free motion breaks no law there is nothing to solve, and no impulse.
     start = jnp.where(c.active[..., None] & (taken > 0), start, 0.0)
     motion = problem.moved_by(start)
@@ -77,7 +78,7 @@ def solve_contacts(problem: Problem, start: Vector) -> Solution:
     as_good = jnp.maximum(asked, known)
     tolerance = jnp.maximum(asked, known / firm)
     # Far from the answer a soft law finds sooner who presses whom: its equations are better conditioned.
-    far = _speed_to_take(problem, motion) > 0.1 * taken
+    far = speed_to_take(problem, motion) > 0.1 * taken
     softness = jnp.where(far, _SOFT, firm).astype(motion.dtype)
 
     def going(carry: Any) -> Any:
@@ -116,6 +117,13 @@ def solve_contacts(problem: Problem, start: Vector) -> Solution:
     held = jnp.where(poor, _passive_share(problem, held), 1.0) * held
     # By the impulses themselves, so that momentum is kept to round-off whatever the tolerance.
     return Solution(problem.moved_by(held), held, residual, poor, count, products)
+
+
+def no_contact(problem: Problem, start: Vector) -> Solution:
+    """The solution where the free motion breaks no law."""
+    none = jnp.zeros((), jnp.int32)
+    free = problem.free
+    return Solution(free, jnp.zeros_like(start), jnp.zeros((), free.dtype), jnp.zeros((), bool), none, none)
 
 
 def _passive_share(problem: Problem, impulse: Vector) -> Scalar:
@@ -212,7 +220,7 @@ class _Given(NamedTuple):
         return lax.while_loop(going, closer, carry)[-2]
 
 
-def _speed_to_take(problem: Problem, motion: Array) -> Scalar:
+def speed_to_take(problem: Problem, motion: Array) -> Scalar:
     """The largest velocity [m/s] along a normal that the law takes from a motion (n, 6).
 
     Not the speed of sliding: friction takes no more than about μ times this, however fast a body slides.
