@@ -20,10 +20,16 @@ RUNS = (
 SHAPES = {"JAX_ENABLE_X64": "1", "JAXRB_CHECK_SHAPES": "1"}
 SHAPE_TESTS = ("tests/body", "tests/math/test_quaternion_algebra.py")
 
+# Prints XLA's name for what `rb.rollout` asks of it to compile sooner, where this release of JAX knows it.
+QUICK = "import jaxrb; print(*(f'--{name}={str(value).lower()}' for name, value in jaxrb.compiler_options().items()))"
+
 
 def main() -> int:
     """Exit code: 0 if all runs pass."""
     given = sys.argv[1:]
+    # For the tests' own programs too: they compile in two thirds of the time.
+    quick = subprocess.run([sys.executable, "-c", QUICK], capture_output=True, text=True, check=True).stdout
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {quick.strip()}".strip()
     code = 0
     for run in RUNS:
         code = pytest(run, given) or code
@@ -34,7 +40,9 @@ def pytest(run: dict[str, str], arguments: Sequence[str]) -> int:
     """Run pytest on all cores in an environment; its exit code."""
     print(*(f"{key}={value}" for key, value in run.items()), flush=True)
     program = pathlib.Path(sys.executable).with_name("pytest")
-    command = [str(program), "-n", str(os.cpu_count() or 1), "--dist=loadgroup", "--durations=10", *arguments]
+    # A file stays on one core, so that what its tests share is compiled once.
+    spread = ["-n", str(os.cpu_count() or 1), "--dist=loadfile", "--no-loadscope-reorder"]
+    command = [str(program), *spread, "--durations=10", *arguments]
     return subprocess.run(command, cwd=ROOT, env={**os.environ, **run}, check=False).returncode
 
 

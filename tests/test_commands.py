@@ -33,14 +33,12 @@ def demonstration(tmp_path_factory):
     return folder, json.loads(done.stdout)
 
 
-@pytest.mark.xdist_group("demo")
 def test_demo_draws_its_pictures(demonstration):
     folder, found = demonstration
     for picture in found["pictures"]:
         assert (folder / picture).stat().st_size > 10_000
 
 
-@pytest.mark.xdist_group("demo")
 def test_demo_shows_the_drift_of_the_lecture(demonstration):
     _, found = demonstration
     last = [row for row in found["drift"] if row["iterations"] == 5000 and row["method"] == "ExplicitEuler"]
@@ -63,7 +61,6 @@ def test_demo_shows_the_drift_of_the_lecture(demonstration):
     )
 
 
-@pytest.mark.xdist_group("demo")
 def test_demo_fits_the_bundled_truth(demonstration):
     _, found = demonstration
     assert "I_xx" in found["fit_summary"]

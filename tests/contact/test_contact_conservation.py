@@ -20,7 +20,6 @@ from contact_scenes import (
 
 import jaxrb as rb
 
-pytestmark = pytest.mark.xdist_group("contact_conservation")
 STEPS, DT = 120, 2e-3
 FREE = {"gravity": (0.0, 0.0, 0.0), "offset": -100.0}  # the floor out of reach
 RESTITUTION = {"plastic": False, "with restitution": True}

@@ -10,7 +10,6 @@ from rotation_samples import QUICK
 
 import jaxrb as rb
 
-pytestmark = pytest.mark.xdist_group("contact_derivatives")
 DT = 1e-3
 
 

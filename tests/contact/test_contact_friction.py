@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from contact_scenes import G, block, block_numbers, continued, long_run, motion, state, worlds
 
-pytestmark = pytest.mark.xdist_group("contact_friction")
 SPEEDS, FRICTIONS = (0.5, 1.0, 2.0), (0.3, 0.5, 0.8)
 THETAS = np.radians([2.0, 10.0, 20.0, 30.0, 45.0, 60.0])
 COUNT = 18

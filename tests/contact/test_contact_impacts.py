@@ -8,7 +8,6 @@ from contact_scenes import DOWN, G, continued, long_run, motion, runner, state, 
 
 import jaxrb as rb
 
-pytestmark = pytest.mark.xdist_group("contact_impacts")
 RADIUS = 0.1
 
 

@@ -10,7 +10,6 @@ from rotation_samples import QUICK
 
 import jaxrb as rb
 
-pytestmark = pytest.mark.xdist_group("contact_rest")
 DT, SPAN = 2e-3, 60.0 if os.environ.get("JAXRB_LONG") == "1" else 2.0
 HEAVY = 1e4
 

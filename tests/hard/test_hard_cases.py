@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxrb.errors import InvalidInput, JaxrbWarning, UnknownName
-from jaxrb.hard import CASES, Case, Measured, cases_named, judge, touching
+from jaxrb.hard import CASES, Case, Measured, cases_named, judge
 
 ANY = {"float64": 1.0, "float32": 1.0}
 
@@ -17,15 +17,7 @@ def case(run, **changes):
     return Case("made up", "nothing", "figure", ANY, run, **changes)
 
 
-# Cases of one file share a program: with several processes they have to meet in one.
-TOUCHING = {c.name for c in touching.cases()}
-GROUPED = [
-    pytest.param(c, id=c.name, marks=[pytest.mark.xdist_group("hard_contact")] if c.name in TOUCHING else [])
-    for c in CASES
-]
-
-
-@pytest.mark.parametrize("hard_case", GROUPED)
+@pytest.mark.parametrize("hard_case", CASES, ids=lambda c: c.name)
 def test_stays_stable(hard_case):
     verdict = judge(hard_case)
     assert verdict.passed, verdict.reason

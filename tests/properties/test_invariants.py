@@ -16,7 +16,6 @@ from rotation_samples import QUICK
 
 import jaxrb as rb
 
-pytestmark = pytest.mark.xdist_group("properties")
 EXAMPLES = int(os.environ.get("JAXRB_EXAMPLES", "15"))
 STEPS, DT = 24, 0.01
 ALWAYS = settings(

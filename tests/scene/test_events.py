@@ -22,7 +22,6 @@ from rotation_samples import QUICK
 import jaxrb as rb
 from jaxrb.errors import RunFailed, WrongStructure
 
-pytestmark = pytest.mark.xdist_group("events")
 G = 9.81
 
 

@@ -25,7 +25,6 @@ pytestmark = [
     pytest.mark.skipif(
         not jax.config.read("jax_enable_x64"), reason="the page is the same: run once, with the float64 suite"
     ),
-    pytest.mark.xdist_group("chromium"),
 ]
 
 
