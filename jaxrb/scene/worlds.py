@@ -1,5 +1,6 @@
 """Worlds of different structure run by one call: those of one structure share one program."""
 
+import functools
 import operator
 from collections.abc import Iterator, Sequence
 from typing import Any, overload
@@ -7,6 +8,7 @@ from typing import Any, overload
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, PartitionSpec
 
 from jaxrb.body.state import State
 from jaxrb.checks import is_concrete
@@ -28,6 +30,7 @@ from jaxrb.scene.settings import (
     check_saved_bytes,
     warn_of_coarse_steps,
 )
+from jaxrb.scene.sharding import along, check_agreement, gathered, laid_over, mesh_of
 from jaxrb.scene.status import OK
 
 
@@ -81,6 +84,7 @@ def rollout_worlds(
     save_every: int = 1,
     on_error: str = "raise",
     max_bytes: int = DEFAULT_MAX_BYTES,
+    sharding: Any = None,
 ) -> WorldPaths:
     """Run many worlds that may differ in bodies and effects; the paths come back in the order given.
 
@@ -93,6 +97,10 @@ def rollout_worlds(
         dt, steps, method, save_every: as for `rb.rollout`, the same for all.
         on_error: "raise" `RunFailed` for the first world that fails, or "flag" it in that world's `status`.
         max_bytes: refuse to start if the saved states of all worlds would need more.
+        sharding: a `jax.sharding.Mesh` over whose devices the worlds are laid, also those of other processes after
+            `jax.distributed.initialize`; every process calls with all worlds and gets all paths, on the host. A number
+            of worlds that the devices do not divide is filled up, with a warning. Free bodies move with the same bits
+            as on one device, but for the last digit where a device has a single world. None: the default device.
 
     Raises:
         WrongStructure: something else than pairs of a scene and a state of it.
@@ -107,9 +115,17 @@ def rollout_worlds(
     for scene, state in worlds:
         warn_of_coarse_steps(scene, state, dt, method)
     found = []
+    mesh = None if sharding is None else mesh_of(sharding)
+    if mesh is not None:
+        check_agreement(worlds)
     for who in _buckets(worlds):
         stacked = jax.tree.map(_stacked, *(worlds[i] for i in who))
-        path = _together(*stacked, dt, method, steps=steps, save_every=save_every)
+        if mesh is None:
+            path = _together(*stacked, dt, method, steps=steps, save_every=save_every)
+        else:
+            shares = laid_over(mesh, stacked, len(who))
+            path = _apart(*shares, dt, method, mesh=mesh, steps=steps, save_every=save_every)
+            path = gathered(path, len(who))
         found.append((np.asarray(who), path))
     paths = WorldPaths(found)
     if on_error == "raise":
@@ -172,3 +188,16 @@ def _run(scene: Scene, state: State, dt: Scalar, method: Method, *, steps: int, 
 
 
 _together = jax.jit(_run, static_argnames=("steps", "save_every"))
+
+
+def _run_apart(
+    scene: Scene, state: State, dt: Scalar, method: Method, *, mesh: Mesh, steps: int, save_every: int
+) -> Path:
+    run = functools.partial(_run, steps=steps, save_every=save_every)
+    own, same = along(mesh), PartitionSpec()
+    # Not left to the compiler: it would let all devices wait for the slowest in every loop of a contact solve.
+    split = jax.shard_map(run, mesh=mesh, in_specs=(own, own, same, same), out_specs=own, check_vma=False)
+    return split(scene, state, dt, method)
+
+
+_apart = jax.jit(_run_apart, static_argnames=("mesh", "steps", "save_every"))

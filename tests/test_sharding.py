@@ -1,0 +1,107 @@
+"""Worlds laid over several devices and processes: the same bits as on one."""
+
+import os
+import socket
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import jaxrb as rb
+from jaxrb.errors import WrongStructure
+
+_WORLDS = """
+import sys, warnings
+import jax, numpy as np
+import jaxrb as rb
+
+def world(i, drag=0.1):
+    effects = (rb.UniformGravity(), rb.LinearDrag(drag)) if i % 2 else (rb.UniformGravity(),)
+    scene = rb.Scene(rb.Body(1.0 + i, (1.0, 2.0, 2.5)), effects)
+    return scene, scene.state(angular_velocity=(0.1 * i, 1.0, 0.2))
+
+def run(worlds, **options):
+    return rb.rollout_worlds(worlds, dt=0.02, steps=40, save_every=10, **options)
+
+def alike(one, other):
+    pairs = zip(jax.tree.leaves(list(one)), jax.tree.leaves(list(other)), strict=True)
+    return all(np.array_equal(a, b) for a, b in pairs)
+"""
+
+_DEVICES = """
+worlds = [world(i) for i in range(19)]
+with warnings.catch_warnings(record=True) as said:
+    warnings.simplefilter("always")
+    many = run(worlds, sharding=jax.make_mesh((8,), ("worlds",)))
+print(jax.device_count(), alike(run(worlds), many), [str(w.message)[:70] for w in said])
+"""
+
+_PROCESSES = """
+number, address = int(sys.argv[1]), sys.argv[2]
+jax.distributed.initialize(address, 2, number, coordinator_bind_address=address)
+mesh = jax.make_mesh((jax.device_count(),), ("worlds",))
+worlds = [world(i) for i in range(8)]  # two a device: of one the compiler may round the last digit otherwise
+print(jax.process_count(), alike(run(worlds), run(worlds, sharding=mesh)))
+try:
+    run([world(0), world(1, 0.1 + number)], sharding=mesh)
+except rb.JaxrbError as error:
+    print(type(error).__name__, error)
+"""
+
+
+def start(program, *arguments, flags=""):
+    command = [sys.executable, "-W", "ignore", "-c", _WORLDS + program, *arguments]
+    environment = {**os.environ, "XLA_FLAGS": flags}
+    return subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def ended(process):
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    return out
+
+
+def test_eight_devices_give_the_bits_of_one_and_say_what_they_add():
+    out = ended(start(_DEVICES, flags="--xla_force_host_platform_device_count=8"))
+    assert out.startswith("8 True")
+    # Ten worlds of one structure and nine of the other.
+    assert "10 worlds of one structure over 8 devices: 6 copies" in out
+    assert "9 worlds of one structure over 8 devices: 7 copies" in out
+
+
+def test_two_processes_give_the_bits_of_one_and_must_agree_on_the_worlds():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    both = [start(_PROCESSES, str(number), address) for number in range(2)]
+    for process in both:
+        lines = [line for line in ended(process).splitlines() if not line.startswith("[Gloo]")]
+        assert lines[0] == "2 True"
+        assert lines[1].startswith(
+            "InvalidInput rollout_worlds: the worlds of process 0 differ from those of [1]"
+        )
+
+
+def test_sharded_worlds_can_be_differentiated_inside_a_program(dtype):
+    body = rb.Body(1.0, (1.0, 2.0, 2.5))
+    scene = rb.Scene(body, rb.UniformGravity())
+    mesh = jax.make_mesh((1,), ("worlds",))
+
+    def height(speed, sharding):
+        worlds = [(scene, scene.state(velocity=(0.0, 0.0, factor * speed))) for factor in (1.0, 2.0)]
+        paths = rb.rollout_worlds(worlds, dt=0.05, steps=4, sharding=sharding, on_error="flag")
+        return sum(path.final.position[0, 2] for path in paths)
+
+    given = jnp.asarray(0.3, dtype)
+    slope = jax.jit(jax.grad(lambda speed: height(speed, mesh)))(given)
+    assert slope == pytest.approx(3 * 0.2, rel=1e-5)
+
+
+def test_what_is_no_mesh_is_refused():
+    scene = rb.Scene(rb.Body(1.0, 1.0))
+    with pytest.raises(WrongStructure, match="make_mesh"):
+        rb.rollout_worlds([(scene, scene.state())], dt=0.1, steps=1, sharding="all")
