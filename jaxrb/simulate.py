@@ -49,7 +49,8 @@ def simulate(
 
     Args:
         scene: a name (bouncing_ball, billiard_break, slab_with_balls, block_on_incline, domino_row, stack_of_10, arch,
-            pile_of_64, spheres_216, cube_toss, spinning_coin, tippe_top; without contact those of work-precision), or
+            pile_of_64, spheres_216, cube_toss, spinning_coin, tippe_top; with joints double_pendulum, chain, door,
+            four_bar, bricard, ragdoll; without either those of work-precision), or
             a Python file that defines scene, state and duration, and dt if it likes.
         dt: step [s]; by default the scene's own.
         duration: [s]; by default the scene's own.

@@ -22,6 +22,7 @@ FLOORS = {
     "collision": 3,
     "effects": 4,
     "contact": 4.5,  # an effect that a step resolves
+    "joints": 4.5,
     "integrators": 5,
     "scene": 6,
     "accuracy": 7,

@@ -26,6 +26,7 @@ from jaxrb.accuracy.work_precision import applicable
 from jaxrb.body.inertia import SphericalInertia
 from jaxrb.body.state import State
 from jaxrb.checks import is_concrete
+from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.errors import InvalidInput, JaxrbError, WrongStructure
 from jaxrb.integrators.method import Method
 from jaxrb.integrators.names import method_of
@@ -77,15 +78,27 @@ def plan(
         WrongStructure: called while being traced; no candidate applies.
     """
     check_fit(scene, state)
+    _refuse_contact(scene)
     check_tolerance("plan: tolerance", tolerance)
     duration = duration_of("plan", scene, state, t1)
     candidates = _candidates(state, methods)
+    if scene.jointed:  # what is left out refuses joints itself, and says why
+        candidates = [method for method in candidates if method.takes_joints] or candidates
     question = plan_cache.question(scene, state, duration, tolerance, candidates)
     known = plan_cache.recall(question, candidates, cache)
     if known is None:
         known = _planned(scene, state, duration, float(tolerance), candidates)
         plan_cache.keep(question, candidates, known, cache)
     return known
+
+
+def _refuse_contact(scene: Scene) -> None:
+    if any(isinstance(effect, RigidContact) for effect in scene.effects):
+        raise WrongStructure(
+            "plan: with RigidContact each impact, stick and slip falls elsewhere into a step, and no power law tells "
+            "how many steps a tolerance needs; use rb.solve_contact(scene, state, t1=…, tolerance=…), which finds its "
+            "steps as it goes"
+        )
 
 
 def duration_of(who: str, scene: Scene, state: State, t1: Any) -> float:

@@ -49,10 +49,13 @@ def work_precision(
 
     Example: jaxrb work-precision heavy_top --figure heavy_top.png
     Example: jaxrb work-precision my_scene.py --representations quaternion matrix
+    Example: jaxrb work-precision contact --figure contact.png
 
     Args:
         scene: a name (tumbling_brick, dzhanibekov, heavy_top, lagrange_top, thrown_brick, gazebo_boxes,
-            gazebo_boxes_simple, free_boxes, double_spring), or a Python file that defines scene, state and duration.
+            gazebo_boxes_simple, free_boxes, double_spring), or a Python file that defines scene, state and duration;
+            or, with contact, bouncing_ball, sliding_block, cube_toss, "contact" for all three: solve_contact beside
+            fixed steps and MuJoCo, in float64.
         representations: of rotations.
         precisions: float64, float32 or both.
         levels: numbers of steps for each method, each four times the last.
@@ -60,10 +63,15 @@ def work_precision(
         figure: draw a picture into this file.
         json: print one JSON object instead of tables.
     """
+    from jaxrb.accuracy.contact_scenes import CASES
     from jaxrb.accuracy.work_precision import work_precision as measured
     from jaxrb.scene.library import example_of
     from jaxrb.scene.settings import check_count
 
+    key = scene.lower().replace("-", "_")
+    if key == "contact" or key in CASES:
+        _work_precision_of_contact(() if key == "contact" else (key,), front, figure, json)
+        return
     check_count("levels", levels, 1)
     found = measured(example_of(scene), representations, precisions, levels, _bar("methods"))
     if figure is not None:
@@ -75,6 +83,18 @@ def work_precision(
         print(json_text.dumps(found.as_dict()))
         return
     print(_work_precision_report(found, front))
+
+
+def _work_precision_of_contact(names: Sequence[str], front: bool, figure: Path | None, json: bool) -> None:
+    from jaxrb.accuracy.contact_report import summary
+    from jaxrb.accuracy.contact_work_precision import contact_work_precision
+
+    found = contact_work_precision(names, _bar("scenes"))
+    if figure is not None:
+        from jaxrb.view import contact_figures, figures
+
+        figures.save(contact_figures.contact_figure(found), figure)
+    print(json_text.dumps([scene.as_dict() for scene in found]) if json else summary(found, front))
 
 
 def _work_precision_report(found: Any, front: bool) -> str:

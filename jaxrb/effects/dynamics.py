@@ -57,11 +57,17 @@ class Dynamics(eqx.Module):
         None  # what resolves the bodies' contacts after a step (`contact/step.py`); None where none can be
     )
     driven: tuple[PrescribedMotion, ...] = ()
+    joints: Any = None  # what solves for the forces of joints (`joints/system.py`); None where there are none
     freedoms: tuple[Freedom, ...] | None = eqx.field(static=True, default=None)  # None: every body is free
 
     def wrench(self, state: State, torque: Vector | None = None) -> Wrench:
-        """Sum of all effects and the applied body torque, in the components in which the bodies can move."""
-        state = self._seen(state)
+        """Sum of all effects, the applied body torque and the forces of joints, in the components that can move."""
+        state = self.seen(state)
+        total = self.applied(state, torque)
+        return total if self.joints is None else self.joints.wrench(self, state, total)
+
+    def applied(self, state: State, torque: Vector | None) -> Wrench:
+        """The same without the forces of joints, at a state that was `seen`."""
         total = Wrench(torque=torque)
         for effect in self.effects:
             total = total + effect.wrench_on(self.bodies, state)
@@ -87,7 +93,7 @@ class Dynamics(eqx.Module):
         """The state with everything that constraints determine put in its place."""
         for constraint in (*self.fixed_points, *self.driven):
             state = constraint.complete(state)
-        return state
+        return state if self.joints is None else self.joints.complete(self, state)
 
     def eased(self, state: State, *, one_angle: bool) -> State:
         """The state as a method is to advance it: an orientation that cannot change is one that no method updates, and
@@ -109,7 +115,7 @@ class Dynamics(eqx.Module):
         orientation = plain(new.orientation, renormalise=renormalise)
         return State(position, orientation, new.velocity, new.angular_velocity, new.time)
 
-    def _seen(self, state: State) -> State:
+    def seen(self, state: State) -> State:
         """The state as effects see it, also in the middle of a step: driven bodies where they then are."""
         if self.freedoms is None:
             return state
@@ -125,6 +131,7 @@ def prepare(
     dtype: Any,
     contact: Any = None,
     freedoms: tuple[Freedom, ...] | None = None,
+    joints: Any = None,
 ) -> Dynamics:
     """The dynamics of bodies (with a bodies axis) under effects, for states of this floating type.
 
@@ -134,7 +141,7 @@ def prepare(
     def cast(leaf: Any) -> Any:
         return jnp.asarray(leaf, dtype) if eqx.is_inexact_array(leaf) else leaf
 
-    bodies, effects, contact = jax.tree.map(cast, (bodies, effects, contact))
+    bodies, effects, contact, joints = jax.tree.map(cast, (bodies, effects, contact, joints))
     fixed = tuple(effect for effect in effects if isinstance(effect, FixedPoint))
     _check_held_once(fixed, bodies.mass.shape[0])
     driven = tuple(effect for effect in effects if isinstance(effect, PrescribedMotion))
@@ -145,7 +152,15 @@ def prepare(
     resolved = (FixedPoint, PrescribedMotion, RigidContact)
     active = tuple(effect for effect in effects if not isinstance(effect, resolved))
     return Dynamics(
-        bodies, 1.0 / bodies.mass, solver(rotating), active, fixed, contact, driven, restricted(freedoms)
+        bodies,
+        1.0 / bodies.mass,
+        solver(rotating),
+        active,
+        fixed,
+        contact,
+        driven,
+        joints,
+        restricted(freedoms),
     )
 
 

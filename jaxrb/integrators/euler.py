@@ -20,6 +20,7 @@ class ExplicitEuler(Method):
 
     order: ClassVar[int] = 1
     stability_limit: ClassVar[float] = 2.0
+    takes_joints: ClassVar[bool] = True
     finite_rotation: bool = eqx.field(static=True, default=False)
 
     def advance(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None) -> State:

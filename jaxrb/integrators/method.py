@@ -9,6 +9,7 @@ import jax
 
 from jaxrb.body.state import State
 from jaxrb.effects.dynamics import Acceleration, Dynamics
+from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Array, Scalar, Vector, by_components
 from jaxrb.math.rotation import Rotation
 
@@ -27,6 +28,10 @@ class Method(eqx.Module):
     symmetric: ClassVar[bool] = False  # True where a step of −dt undoes a step of dt
     one_angle: ClassVar[bool] = (
         True  # True where it asks nothing of an orientation but its derivative, exp or cayley
+    )
+
+    takes_joints: ClassVar[bool] = (
+        False  # True where it asks for the accelerations alone, whatever they depend on
     )
 
     renormalise: bool = eqx.field(static=True, default=True, kw_only=True)
@@ -55,6 +60,11 @@ class Method(eqx.Module):
 
     def first_carry(self, dynamics: Dynamics, state: State) -> Any:
         """What `carried_step` wants to be given at the start of a run."""
+        if dynamics.joints is not None and not self.takes_joints:
+            raise WrongStructure(
+                f"{type(self).__name__} takes bodies to fly freely between pushes, which jointed ones do not; use "
+                "RungeKutta4, VelocityVerlet, ImplicitMidpoint, or rb.solve"
+            )
         memory = None if dynamics.contact is None else dynamics.contact.first_memory(state)
         return self.first_remainder(state), memory
 

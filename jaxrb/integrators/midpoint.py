@@ -24,6 +24,7 @@ class ImplicitMidpoint(Method):
 
     order: ClassVar[int] = 2
     stability_limit: ClassVar[float] = 1.0
+    takes_joints: ClassVar[bool] = True
     needs_group: ClassVar[bool] = True
     symmetric: ClassVar[bool] = True
     sweeps: int = eqx.field(static=True, default=5)
@@ -31,6 +32,7 @@ class ImplicitMidpoint(Method):
     def advance(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None) -> State:
         half = 0.5 * dt
         velocity, omega = state.velocity, state.angular_velocity
+        # Joints are among the effects.
         sweeps = self.sweeps if dynamics.effects or dynamics.fixed_points else 1
         for _ in range(sweeps):
             middle = State(

@@ -25,6 +25,7 @@ class RungeKutta4(Method):
 
     order: ClassVar[int] = 4
     stability_limit: ClassVar[float] = 2.78
+    takes_joints: ClassVar[bool] = True
 
     compensated: bool = eqx.field(static=True, default=False, kw_only=True)
 

@@ -23,6 +23,7 @@ class VelocityVerlet(Method):
 
     order: ClassVar[int] = 2
     stability_limit: ClassVar[float] = 2.0
+    takes_joints: ClassVar[bool] = True
     newton_steps: int = eqx.field(static=True, default=3)
 
     def advance(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None) -> State:

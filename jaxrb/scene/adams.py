@@ -14,6 +14,7 @@ from jaxrb.integrators.adams_weights import SCHEMES, Scheme
 from jaxrb.math.arrays import Array, Scalar
 from jaxrb.scene import adams_lanes as lanes
 from jaxrb.scene.adams_pilot import Found, Problem, planned
+from jaxrb.scene.joints import check_jointed
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene, check_fit, refuse_contact
 from jaxrb.scene.settings import ON_ERROR, applied_torque, check_choice, check_count, check_tolerance
@@ -90,6 +91,7 @@ def solve_smooth(
     """
     check_fit(scene, state)
     refuse_contact(scene, "solve_smooth", "use rb.rollout")
+    check_jointed(scene, "solve_smooth", "use rb.rollout or rb.solve")
     check_choice("on_error", on_error, ON_ERROR)
     tolerance = _tolerance(tolerance, state)
     scheme = _scheme(order, tolerance)

@@ -9,9 +9,11 @@ from jaxrb.body.freedom import FREE, Freedom, angular_mask, linear_mask, name_of
 from jaxrb.body.state import State
 from jaxrb.checks import is_concrete
 from jaxrb.effects.effect import Effect
+from jaxrb.effects.fixed_point import FixedPoint
 from jaxrb.effects.prescribed_motion import PrescribedMotion
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.errors import InvalidInput, WrongStructure
+from jaxrb.joints.joint import Joint
 
 
 def check_contact(freedoms: Sequence[Freedom], effects: Sequence[Effect]) -> None:
@@ -31,6 +33,33 @@ def check_contact(freedoms: Sequence[Freedom], effects: Sequence[Effect]) -> Non
             raise WrongStructure(
                 f"RigidContact: body {body} {what}, which impulses do not know; leave it out by bodies=(…), give what "
                 "stands still to RigidContact(against=…), or use CompliantContact"
+            )
+
+
+def check_joints(effects: Sequence[Effect]) -> None:
+    """Refuse joints beside what moves bodies in ways that joints do not know.
+
+    Raises:
+        WrongStructure: naming the effect, the body and what else to do.
+    """
+    joints = [effect for effect in effects if isinstance(effect, Joint)]
+    if not joints:
+        return
+    jointed = {body for joint in joints for body in joint.members}
+    for effect in effects:
+        if isinstance(effect, RigidContact):
+            raise WrongStructure(
+                f"Scene.effects: RigidContact beside {type(joints[0]).__name__}: the impulses of contact do not know "
+                "joints; use CompliantContact"
+            )
+        if isinstance(effect, PrescribedMotion) and effect.body in jointed:
+            raise WrongStructure(
+                f"PrescribedMotion: body {effect.body} has a joint, whose forces its acceleration would enter; drive "
+                "it by JointServo or JointMotor"
+            )
+        if isinstance(effect, FixedPoint) and (effect.bodies is None or jointed & set(effect.bodies)):
+            raise WrongStructure(
+                "FixedPoint: it holds a body that has a joint; hold the point by BallJoint(bodies=(body, None)) instead"
             )
 
 

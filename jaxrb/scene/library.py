@@ -1,6 +1,7 @@
 """Scenes by name: what the commands run, with a start and a duration; or a user's own from a Python file.
 
-Those of `SCENES` are smooth, and have answers that can be known; those with contact are in `contact_library`.
+Those of `SCENES` are smooth, and have answers that can be known; those with contact are in `contact_library`, those
+with joints in `joint_library`.
 """
 
 import difflib
@@ -23,6 +24,7 @@ from jaxrb.geometry.primitives import Box
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.scene.contact_library import CONTACT_SCENES
 from jaxrb.scene.example import Example
+from jaxrb.scene.joint_library import JOINT_SCENES
 from jaxrb.scene.scene import Scene, check_fit
 from jaxrb.scene.settings import check_positive
 
@@ -152,7 +154,7 @@ def example_of(name: str) -> Example:
     if name.endswith(".py"):
         return _from_file(Path(name))
     key = name.lower().replace("-", "_")
-    known = SCENES | CONTACT_SCENES
+    known = SCENES | CONTACT_SCENES | JOINT_SCENES
     if key in known:
         return known[key]()
     near = difflib.get_close_matches(key, known, n=2, cutoff=0.4)
@@ -167,7 +169,7 @@ def _from_file(file: Path) -> Example:
     if not file.is_file():
         raise InvalidInput(
             f"scene file {file}: there is no such file; give a name of "
-            f"{', '.join(SCENES | CONTACT_SCENES)}, or a path"
+            f"{', '.join(SCENES | CONTACT_SCENES | JOINT_SCENES)}, or a path"
         )
     try:
         defined = runpy.run_path(str(file))

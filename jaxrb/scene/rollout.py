@@ -15,6 +15,7 @@ from jaxrb.integrators.names import method_of
 from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.scene.certificate import certificate_of
+from jaxrb.scene.joints import check_jointed
 from jaxrb.scene.path import Path
 from jaxrb.scene.reversible import reversible_steps
 from jaxrb.scene.scene import Scene, check_fit, refuse_contact
@@ -36,6 +37,9 @@ from jaxrb.scene.status import Status, sound, status_after, with_contact
 
 # A reverse pass forms all again but the contact solves: those it keeps.
 _KEPT = jax.checkpoint_policies.save_only_these_names(SOLVED)
+# Nothing is formed again of so many steps in a row, nor of runs of so many steps times bodies: all is kept, 2 kB a
+# step of a box on a floor, whose gradient then compiles in 10 s and not 14: the step stands there once less.
+_LONGEST, _BRIEF = 64, 1024
 
 
 def rollout(
@@ -71,6 +75,7 @@ def rollout(
         refuse_contact(
             scene, "adjoint='reversible'", "use adjoint='checkpoint': no impact can be run backwards"
         )
+        check_jointed(scene, "adjoint='reversible'", "use adjoint='checkpoint': projections cannot be undone")
     warn_of_coarse_steps(scene, state, dt, method)
     times, states, final, status, contact = _run(
         scene,
@@ -122,7 +127,7 @@ def _run_steps(
 
     def advance(carry: tuple, given: Vector | None, count: int) -> tuple:
         if adjoint == "checkpoint":
-            return _scan(one, carry, given, count)
+            return _plain(one, carry, given, count) if brief else _scan(one, carry, given, count)
         state, memory, finite_steps, done = carry
         reversed_run: Any = reversible_steps  # custom_vjp hides its signature from type checkers
         new, finite = reversed_run(method, count, dynamics, state, dt, torque)
@@ -133,13 +138,15 @@ def _run_steps(
         return carry, (carry[0], contact_report(carry[1]))
 
     saves = steps // save_every
+    brief = steps * len(state.position) <= _BRIEF
     bad = sound(state, method.renormalise)
     carry = (state, method.first_carry(dynamics, state), jnp.zeros_like(bad), jnp.zeros((), jnp.int32))
     regular, rest = None, None
     if torque is not None and varying:
         regular = torque[: saves * save_every].reshape(saves, save_every, *torque.shape[1:])
         rest = torque[saves * save_every :]
-    if adjoint == "checkpoint":
+    if adjoint == "checkpoint" and not brief and save_every <= _LONGEST:
+        # Longer stretches are cut by themselves; twice would be another copy of the step's program to compile.
         stretch = jax.checkpoint(stretch, prevent_cse=False, policy=_KEPT)
     carry, saved = lax.scan(stretch, carry, regular, length=saves)
     if steps > saves * save_every:
@@ -154,12 +161,16 @@ def _run_steps(
 _run = jit(_run_steps, static_argnames=("steps", "save_every", "adjoint"))
 
 
+def _plain(one: Any, carry: tuple, given: Vector | None, length: int) -> tuple:
+    return lax.scan(one, carry, given, length=length)[0]
+
+
 def _scan(one: Any, carry: tuple, given: Vector | None, length: int) -> tuple:
     """`length` steps; long stretches in blocks of about √length, which the reverse pass recomputes one by one."""
     if length == 1:
         return one(carry, None if given is None else given[0])[0]
-    if length <= 64:
-        return lax.scan(one, carry, given, length=length)[0]
+    if length <= _LONGEST:
+        return _plain(one, carry, given, length)
     block = _block(length)
     blocks = length // block
 

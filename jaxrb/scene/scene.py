@@ -17,10 +17,14 @@ from jaxrb.effects.fixed_point import FixedPoint
 from jaxrb.effects.prescribed_motion import PrescribedMotion
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.errors import WrongStructure
+from jaxrb.joints.joint import Joint
+from jaxrb.joints.readings import check_closed
+from jaxrb.joints.system import joints_of
 from jaxrb.math.arrays import Scalar, Vector
+from jaxrb.math.euler_angles import EulerAngles
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.math.rotation import Rotation
-from jaxrb.scene.freedoms import check_contact, check_driven, check_motion
+from jaxrb.scene.freedoms import check_contact, check_driven, check_joints, check_motion
 from jaxrb.scene.initial import check_held, initial_state
 from jaxrb.scene.start import check_start
 
@@ -52,6 +56,12 @@ class Scene(Checked):
                 )
             effect.check(self.count)
         check_contact(freedoms_of(bodies), effects)
+        check_joints(effects)
+
+    @property
+    def jointed(self) -> bool:
+        """Whether there are joints among the effects."""
+        return any(isinstance(effect, Joint) for effect in self.effects)
 
     @property
     def count(self) -> int:
@@ -66,7 +76,9 @@ class Scene(Checked):
         """The equations of motion for states of this floating type."""
         effects = tuple(effect.with_shapes(self.bodies) for effect in self.effects)
         contact = contact_of(self.bodies, self.effects)
-        return prepare(self.stacked(), effects, dtype, contact, freedoms_of(self.bodies))
+        bodies, freedoms = self.stacked(), freedoms_of(self.bodies)
+        joints = joints_of(self.effects, freedoms, bodies)
+        return prepare(bodies, effects, dtype, contact, freedoms, joints)
 
     def state(
         self,
@@ -78,6 +90,7 @@ class Scene(Checked):
         time: Any = 0.0,
         rotation: type[Rotation] = Quaternion,
         dtype: Any = None,
+        assemble: bool = False,
     ) -> State:
         """A checked state of this scene, at rest at the origin where nothing else is said.
 
@@ -89,9 +102,11 @@ class Scene(Checked):
             time: [s].
             rotation: the representation to run in: Quaternion, RotationMatrix or EulerAngles.
             dtype: floating type; by default that of the arrays given, else JAX's default.
+            assemble: move the bodies so that the scene's joints are closed (`rb.assembled`).
 
         Raises:
-            InvalidInput: numbers that are not finite, orientations that are no rotations; with body and value.
+            InvalidInput: numbers that are not finite, orientations that are no rotations; with body and value. Joints
+                that are open, and by how much.
             WrongStructure: shapes that do not fit.
         """
         state = initial_state(
@@ -100,7 +115,10 @@ class Scene(Checked):
         check_motion(freedoms_of(self.bodies), state)
         check_start(self, state)
         given = {"velocity": velocity, "angular_velocity": angular_velocity}
-        return _placed(self, state, position, given)
+        state = _placed(self, state, position, given)
+        if not self.jointed:
+            return state
+        return _fitted(self, state, assemble)
 
 
 def _placed(scene: Scene, state: State, position: Any, given: dict[str, Any]) -> State:
@@ -112,6 +130,21 @@ def _placed(scene: Scene, state: State, position: Any, given: dict[str, Any]) ->
         check_held(state, placed)
     check_driven(scene.effects, given, state, placed)
     return placed
+
+
+def _fitted(scene: Scene, state: State, assemble: bool) -> State:
+    """The state if its joints are closed, or with its joints closed."""
+    # Not at the top: what closes joints for users is told of scenes, and so imports this file.
+    from jaxrb.scene import joints
+
+    if isinstance(state.orientation, EulerAngles):
+        raise WrongStructure(
+            "state: joints take quaternions and matrices, not Euler angles; choose rotation=Quaternion"
+        )
+    if assemble:
+        return joints.assembled(scene, state)
+    check_closed(joints.joint_error(scene, state), scene.effects, state)
+    return state
 
 
 @jax.jit

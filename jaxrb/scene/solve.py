@@ -16,6 +16,11 @@ from jaxrb.scene.scene import Scene, check_fit, refuse_contact
 from jaxrb.scene.settings import ON_ERROR, applied_torque, check_choice, check_count, check_tolerance
 from jaxrb.scene.status import NOT_FINITE, OK, STOPPED_EARLY, Status, sound
 
+# [1/s] How fast the solver's numbers go back to the joints, on which the equations are evaluated in any case. Without
+# it errors across the joints add up and bend the motion along them: after 100 periods of a pendulum 1e-6 rad, with it
+# 9e-10.
+_RETURN = 10.0
+
 
 def solve(
     scene: Scene,
@@ -47,7 +52,7 @@ def solve(
     import diffrax  # not at the top: importing it takes longer than the rest of jaxrb
 
     check_fit(scene, state)
-    refuse_contact(scene, "solve", "use rb.rollout")
+    refuse_contact(scene, "solve", "use rb.solve_contact, or rb.rollout")
     check_choice("on_error", on_error, ON_ERROR)
     check_tolerance("rtol", rtol)
     check_tolerance("atol", atol)
@@ -109,18 +114,22 @@ def _integrate_states(
     dynamics = scene.prepared(state.dtype)
 
     def at(t: Scalar, y: tuple) -> State:
-        return State(y[0], y[1], y[2], y[3], t)
+        return State(y[0], y[1] if dynamics.joints is None else y[1].normalise(), y[2], y[3], t)
 
     def field(t: Scalar, y: tuple, _: None) -> tuple:
         now = dynamics.complete(at(t, y))
         rate: Rates = rates(now, dynamics.acceleration(now, torque))
         zero = jnp.zeros_like(now.velocity)
-        return (
+        found = (
             rate.position,
             rate.orientation,
             zero if rate.velocity is None else rate.velocity,
             zero if rate.angular_velocity is None else rate.angular_velocity,
         )
+        if dynamics.joints is None:
+            return found
+        held = (now.position, now.orientation, now.velocity, now.angular_velocity)
+        return jax.tree.map(lambda f, x, off: f + _RETURN * (x - off), found, held, y)
 
     saved = jnp.stack([state.time, t1]) if times is None else jnp.concatenate([times, t1[None]])
     solution = diffrax.diffeqsolve(

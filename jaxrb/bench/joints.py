@@ -1,0 +1,148 @@
+"""Joints: how near to exact answers they keep, how closed they stay, and what a step costs.
+
+The pendulum's angle is known by Jacobi's functions (SciPy's); the double pendulum's by SciPy's DOP853 at 1e-13 on its
+two angles; Bricard's mechanism and the chain are judged by their energy.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrb.accuracy.timing import cpu_of_first
+from jaxrb.effects.gravity import UniformGravity
+from jaxrb.joints import Hinge
+from jaxrb.scene.example import Example
+from jaxrb.scene.joint_library import bricard, chain, double_pendulum, rod
+from jaxrb.scene.joints import joint_error
+from jaxrb.scene.path import Path
+from jaxrb.scene.rollout import rollout
+from jaxrb.scene.scene import Scene
+from jaxrb.scene.solve import solve
+
+GRAVITY = 9.81
+_AMPLITUDE = 1.0  # [rad]
+
+
+def rows() -> Iterator[dict[str, Any]]:
+    """One row for each mechanism; float64 is wanted (JAX_ENABLE_X64=1)."""
+    example, rate = pendulum()
+    period = 4.0 * _quarter() / rate
+    for periods in (10, 100):
+        end = periods * period + 0.3
+        steps = 4000 * periods + round(0.3 / period * 4000)
+        yield _row(
+            f"pendulum, {periods} periods, RK4", example, end / steps, steps, _pendulum_error(rate), 0.5
+        )
+    yield _solved(example, rate, 100 * period + 0.3)
+    for seconds, goal in ((2.0, None), (5.0, None)):
+        name = f"double pendulum from level, {seconds:g} s, RK4"
+        yield _row(name, double_pendulum(), 2.5e-4, round(seconds / 2.5e-4), _tip_error, 2.0, goal)
+    yield _row("Bricard's mechanism, 10 s, RK4", bricard(), 1e-3, 10_000, None, 1.0, 1e-6)
+    yield _row("chain of 50, 60 s, RK4", chain(), 2e-3, 30_000, None, 0.1)
+    heavy = chain()
+    bodies = jax.tree.map(
+        lambda x: np.concatenate([np.asarray(x)[:-1], 1e4 * np.asarray(x)[-1:]]), heavy.scene.bodies
+    )
+    loaded = Example(
+        "loaded", "chain of 50 that bears 1e4 links", Scene(bodies, heavy.scene.effects), heavy.start, 10.0
+    )
+    # Its tension makes a light link swing at 2000/s.
+    yield _row("the same bearing 10 000 links, 2 s", loaded, 5e-4, 4_000, None, 0.1)
+
+
+def pendulum() -> tuple[Example, float]:
+    """A rod of 1 m on a hinge, let go at 1 rad; and the rate [1/s] of its small swings."""
+    scene = Scene(
+        rod(1.0, 1.0),
+        (UniformGravity((0.0, 0.0, -GRAVITY)), Hinge((0.0, 1.0, 0.0), (0.0, 0.0, 0.5), bodies=(0, None))),
+    )
+    half = 0.5 * _AMPLITUDE
+    start = {
+        "position": [-0.5 * math.sin(_AMPLITUDE), 0.0, -0.5 * math.cos(_AMPLITUDE)],
+        "orientation": [math.cos(half), 0.0, math.sin(half), 0.0],
+    }
+    return Example("pendulum", "rod on a hinge", scene, start, 10.0), math.sqrt(1.5 * GRAVITY)
+
+
+def _quarter() -> float:
+    from scipy.special import ellipk
+
+    return float(ellipk(math.sin(0.5 * _AMPLITUDE) ** 2))
+
+
+def _exact_angle(rate: float, time: float) -> float:
+    from scipy.special import ellipj
+
+    k = math.sin(0.5 * _AMPLITUDE)
+    phase = math.fmod(rate * time, 4.0 * _quarter())  # SciPy loses digits at large arguments
+    return 2.0 * math.asin(k * float(ellipj(_quarter() - phase, k * k)[0]))
+
+
+def _pendulum_error(rate: float) -> Any:
+    def error(example: Example, path: Path) -> float:
+        found = float(example.scene.effects[1].coordinate(path.final))
+        return abs(found - _exact_angle(rate, float(path.final.time)))
+
+    return error
+
+
+def _tip_error(example: Example, path: Path) -> float:
+    """Distance [m] of the end of the second rod from where it should be."""
+    from scipy.integrate import solve_ivp
+
+    def field(_t: float, y: np.ndarray) -> np.ndarray:
+        a, b, da, db = y
+        coupling = 0.5 * np.cos(a - b)
+        matrix = np.array([[4.0 / 3.0, coupling], [coupling, 1.0 / 3.0]])
+        lean = 0.5 * np.sin(a - b)
+        right = [-lean * db**2 - 1.5 * GRAVITY * np.sin(a), lean * da**2 - 0.5 * GRAVITY * np.sin(b)]
+        return np.concatenate([[da, db], np.linalg.solve(matrix, right)])
+
+    level = [math.pi / 2, math.pi / 2, 0.0, 0.0]
+    a, b = solve_ivp(field, (0.0, float(path.final.time)), level, "DOP853", rtol=1e-13, atol=1e-13).y[:2, -1]
+    tip = np.array([np.sin(a) + np.sin(b), 0.0, -np.cos(a) - np.cos(b)])
+    found = path.final.point_position(jnp.asarray([0.0, 0.0, 0.5], path.final.dtype))[1]
+    return float(np.linalg.norm(np.asarray(found) - tip))
+
+
+def _row(
+    name: str, example: Example, dt: float, steps: int, error: Any, link: float, goal: float | None = None
+) -> dict[str, Any]:
+    state = example.state()
+
+    def run() -> Path:
+        return rollout(
+            example.scene, state, dt=dt, steps=steps, save_every=max(1, steps // 100), on_error="flag"
+        )
+
+    first, seconds = cpu_of_first(run), cpu_of_first(run)
+    path = run()
+    return _figures(name, example.scene, path, link) | {
+        "error": None if error is None else error(example, path),
+        "energy goal [J]": goal,
+        "a step [CPU µs]": 1e6 * seconds / steps,
+        "to begin [CPU s]": first - seconds,
+        "status": "ok" if bool(path.status.ok) else "failed",
+    }
+
+
+def _solved(example: Example, rate: float, end: float) -> dict[str, Any]:
+    path = solve(example.scene, example.state(), t1=end, rtol=1e-12, atol=1e-12)
+    return _figures("pendulum, 100 periods, rb.solve", example.scene, path, 0.5) | {
+        "error": _pendulum_error(rate)(example, path), "energy goal [J]": None, "a step [CPU µs]": None,
+        "to begin [CPU s]": None, "status": "ok",
+    }  # fmt: skip
+
+
+def _figures(name: str, scene: Scene, path: Path, link: float) -> dict[str, Any]:
+    energy = np.asarray(path.diagnostics.energy, float)
+    gap = jax.jit(jax.vmap(lambda state: joint_error(scene, state).gap.max()))(path.states)
+    return {
+        "mechanism": name,
+        "joint gap / link": float(gap.max()) / link,
+        "energy drift [J]": float(np.abs(energy - energy[0]).max()),
+    }

@@ -1,0 +1,231 @@
+"""Scenes with joints by name: pendulums, a chain, a door, linkages, a doll."""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxrb.body.body import Body, replicate
+from jaxrb.effects.gravity import UniformGravity
+from jaxrb.effects.torques import AngularSpring
+from jaxrb.geometry.primitives import Box, Capsule
+from jaxrb.joints.drives import JointLimit, JointMotor, JointSpring
+from jaxrb.joints.kinds import BallJoint, Hinge
+from jaxrb.math.quaternion import Quaternion
+from jaxrb.scene.example import Example
+from jaxrb.scene.scene import Scene
+
+GRAVITY = UniformGravity((0.0, 0.0, -9.81))
+
+
+def double_pendulum(angles: Sequence[float] = (math.pi / 2, math.pi / 2)) -> Example:
+    """Two rods of 1 m and 1 kg on hinges, by default let go stretched out level; `angles` from the vertical [rad]."""
+    points = [np.zeros(3)]
+    for angle in angles:
+        points.append(points[-1] + [math.sin(angle), 0.0, -math.cos(angle)])
+    rods = Rods(points)
+    hinges = (rods.hinge(0, None, 0, (0.0, 1.0, 0.0)), rods.hinge(1, 0, 1, (0.0, 1.0, 0.0)))
+    scene = Scene(replicate(rod(1.0, 1.0), len(angles)), (GRAVITY, *hinges))
+    return Example("double_pendulum", "double pendulum of two rods", scene, rods.start, 10.0, 1e-3)
+
+
+def chain(count: int = 50, link: float = 0.1, angle: float = 0.3) -> Example:
+    """A chain of rods of 0.1 kg on ball joints, hung up at one end and let go straight, off the vertical [rad]."""
+    along = link * np.array([math.sin(angle), 0.0, -math.cos(angle)])
+    rods = Rods([k * along for k in range(count + 1)])
+    below, above = tuple(range(1, count)), tuple(range(count - 1))
+    effects = [GRAVITY, BallJoint(bodies=(0, None), anchor_a=(0.0, 0.0, -link / 2))]
+    if count > 1:
+        ends = {"anchor_a": (0.0, 0.0, -link / 2), "anchor_b": (0.0, 0.0, link / 2)}
+        effects.append(BallJoint(bodies=(below, above), **ends))
+    scene = Scene(replicate(rod(link, 0.1), count), tuple(effects))
+    return Example("chain", f"chain of {count} links", scene, rods.start, 60.0, 2e-3)
+
+
+def door() -> Example:
+    """A door on two hinges, of which one says all that the other says; a spring shuts it, a stop holds it."""
+    half = (0.45, 0.02, 1.0)
+    leaf = Body.from_shape(Box(half), density=20.0 / (8.0 * math.prod(half)))
+    closer = JointSpring(stiffness=3.0, damping=2.0)
+    stop = JointLimit(0.0, 1.8, stiffness=2e3, dissipation=0.5)
+    hinges = tuple(
+        Hinge(
+            (0.0, 0.0, 1.0), (-half[0], 0.0, z), (0.0, 0.0, half[2] + z), bodies=(0, None),
+            drives=(closer, stop) if z < 0 else (),
+        )
+        for z in (-0.8, 0.8)
+    )  # fmt: skip
+    start = {
+        "position": [half[0], 0.0, half[2]],
+        "velocity": [0.0, 4.0 * half[0], 0.0],
+        "angular_velocity": [0.0, 0.0, 4.0],
+    }
+    return Example(
+        "door", "door on two hinges with closer and stop", Scene(leaf, (GRAVITY, *hinges)), start, 10.0, 1e-3
+    )
+
+
+def four_bar() -> Example:
+    """A crank of 0.3 m driven round by a motor, a coupler and a rocker: a closed loop in a plane, joints to spare."""
+    crank, coupler, rocker, ground = 0.3, 0.9, 0.7, 0.8
+    # The crank upright; where coupler and rocker meet, by the law of cosines.
+    tip, foot = np.array([0.0, 0.0, crank]), np.array([ground, 0.0, 0.0])
+    line = foot - tip
+    far = float(np.linalg.norm(line))
+    along = (coupler**2 - rocker**2 + far**2) / (2 * far)
+    across = np.array([-line[2], 0.0, line[0]]) / far
+    top = tip + line / far * along + across * math.sqrt(coupler**2 - along**2)
+    rods = Rods([np.zeros(3), tip, top, foot])
+    y = (0.0, 1.0, 0.0)
+    motor = JointMotor(speed=6.0, gain=2.0, effort_limit=20.0)
+    hinges = (
+        rods.hinge(0, None, 0, y, motor), rods.hinge(1, 0, 1, y), rods.hinge(2, 1, 2, y), rods.hinge(2, None, 3, y),
+    )  # fmt: skip
+    bodies = tuple(rod(length, length) for length in (crank, coupler, rocker))
+    return Example(
+        "four_bar", "four-bar linkage with a motor", Scene(bodies, (GRAVITY, *hinges)), rods.start, 5.0, 1e-3
+    )
+
+
+def bricard() -> Example:
+    """Bricard's mechanism: five rods of 1 m and 1 kg and six hinges along edges of a cube.
+
+    By counting it could not move, but it does, and six hinges then say one thing too much at every place. (Benchmark of
+    the IFToMM library of multibody problems; M. González et al. 2006, Multibody Syst. Dyn. 16, 1.)
+    """
+    corners = [(0, 0, 0), (1, 0, 0), (1, 0, -1), (1, 1, -1), (0, 1, -1), (0, 1, 0)]
+    points = [np.asarray(corner, float) for corner in corners]
+    rods = Rods(points)
+    edges = [b - a for a, b in zip(points, [*points[1:], points[0]])]
+    axes = [np.cross(edges[k - 1], edges[k]) for k in range(6)]
+    hinges = [rods.hinge(0, None, 0, axes[0])]
+    hinges += [rods.hinge(k, k - 1, k, axes[k]) for k in range(1, 5)]
+    hinges.append(rods.hinge(4, None, 5, axes[5]))
+    scene = Scene(replicate(rod(1.0, 1.0), 5), (GRAVITY, *hinges))
+    return Example("bricard", "Bricard's mechanism (IFToMM)", scene, rods.start, 10.0, 1e-3)
+
+
+def ragdoll() -> Example:
+    """A doll of ten limbs hung up by one hand: ball joints with springs, elbows and knees that bend one way."""
+    limbs = {
+        "torso": ((0.0, 0.0, 1.1), (0.0, 0.0, 1.5), 0.14), "head": ((0.0, 0.0, 1.6), (0.0, 0.0, 1.75), 0.09),
+        "arm l": ((0.0, 0.2, 1.5), (0.0, 0.5, 1.5), 0.045), "forearm l": ((0.0, 0.5, 1.5), (0.0, 0.8, 1.5), 0.035),
+        "arm r": ((0.0, -0.2, 1.5), (0.0, -0.5, 1.5), 0.045), "forearm r": ((0.0, -0.5, 1.5), (0.0, -0.8, 1.5), 0.035),
+        "thigh l": ((0.0, 0.1, 1.0), (0.0, 0.1, 0.6), 0.07), "shin l": ((0.0, 0.1, 0.6), (0.0, 0.1, 0.2), 0.05),
+        "thigh r": ((0.0, -0.1, 1.0), (0.0, -0.1, 0.6), 0.07), "shin r": ((0.0, -0.1, 0.6), (0.0, -0.1, 0.2), 0.05),
+    }  # fmt: skip
+    names = list(limbs)
+    ends = [(np.asarray(a), np.asarray(b)) for a, b, _ in limbs.values()]
+    rods = Rods.of(ends)
+    bodies = tuple(
+        Body.from_shape(Capsule(radius, 0.5 * float(np.linalg.norm(b - a))), 1000.0, name)
+        for (a, b), (_, _, radius), name in zip(ends, limbs.values(), names)
+    )
+    effects: list[Any] = [GRAVITY]
+    for limb, parent in (
+        ("head", "torso"),
+        ("arm l", "torso"),
+        ("arm r", "torso"),
+        ("thigh l", "torso"),
+        ("thigh r", "torso"),
+    ):
+        a, b = names.index(limb), names.index(parent)
+        effects.append(rods.ball(a, b, ends[a][0]))
+        rest = rods.seen(a, b)
+        effects.append(AngularSpring(stiffness=4.0, damping=0.4, rest=rest, body_a=a, body_b=b))
+    bend = JointLimit(0.0, 2.4, stiffness=200.0, dissipation=0.5)
+    for limb, parent, axis in (
+        ("forearm l", "arm l", (0.0, 0.0, -1.0)), ("forearm r", "arm r", (0.0, 0.0, 1.0)),
+        ("shin l", "thigh l", (0.0, 1.0, 0.0)), ("shin r", "thigh r", (0.0, 1.0, 0.0)),
+    ):  # fmt: skip
+        a, b = names.index(limb), names.index(parent)
+        effects.append(rods.hinge(a, b, ends[a][0], axis, bend, JointSpring(damping=0.2)))
+    hand = names.index("forearm l")
+    effects.append(rods.ball(hand, None, ends[hand][1]))
+    return Example(
+        "ragdoll", "doll hung up by one hand", Scene(bodies, tuple(effects)), rods.start, 5.0, 1e-3
+    )
+
+
+class Rods:
+    """Where rods lie that lead from point to point, their z axis along them; and joints between them at points."""
+
+    def __init__(self, points: Sequence[np.ndarray]):
+        self._set(list(itertools.pairwise(points)), points)
+
+    @classmethod
+    def of(cls, ends: Sequence[tuple[np.ndarray, np.ndarray]]) -> "Rods":
+        """Rods between these ends."""
+        rods = cls.__new__(cls)
+        rods._set(list(ends), ())
+        return rods
+
+    def _set(self, ends: list, points: Sequence[np.ndarray]) -> None:
+        self.points = points
+        self.middles = [0.5 * (a + b) for a, b in ends]
+        self.turns = [_along(b - a) for a, b in ends]
+
+    @property
+    def start(self) -> dict[str, Any]:
+        """The arguments of `Scene.state`."""
+        turns = [_wxyz(turn).tolist() for turn in self.turns]
+        return {"position": [m.tolist() for m in self.middles], "orientation": turns}
+
+    def local(self, body: int | None, point: np.ndarray) -> tuple[float, ...]:
+        """A point of the world in the frame of a rod, or of the world."""
+        if body is None:
+            return tuple(point.tolist())
+        return tuple((self.turns[body].T @ (point - self.middles[body])).tolist())
+
+    def seen(self, a: int, b: int | None) -> Quaternion:
+        """The attitude of a as seen from b."""
+        turn = self.turns[a] if b is None else self.turns[b].T @ self.turns[a]
+        return Quaternion(_wxyz(turn))
+
+    def ball(self, a: int, b: int | None, point: int | np.ndarray) -> BallJoint:
+        """A ball joint at a point, or the point of that number."""
+        place = self.points[point] if isinstance(point, int) else point
+        return BallJoint(self.local(a, place), self.local(b, place), bodies=(a, b))
+
+    def hinge(self, a: int, b: int | None, point: int | np.ndarray, axis: Any, *drives: Any) -> Hinge:
+        """A hinge at a point about an axis of the world; angle zero is here."""
+        place = self.points[point] if isinstance(point, int) else point
+        own = self.turns[a].T @ np.asarray(axis, float)
+        return Hinge(
+            own, self.local(a, place), self.local(b, place), self.seen(a, b), bodies=(a, b), drives=drives
+        )
+
+
+def rod(length: float, mass: float) -> Body:
+    """A thin rod along z, as thick as a hundredth of its length."""
+    across = mass * length**2 / 12.0
+    return Body(mass, (across, across, 0.5 * mass * (0.005 * length) ** 2))
+
+
+def _along(direction: np.ndarray) -> np.ndarray:
+    """A rotation matrix whose third column points along `direction`; y stays across the plane x-z."""
+    z = direction / np.linalg.norm(direction)
+    helper = np.array([0.0, 1.0, 0.0]) if abs(z[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    x = np.cross(helper, z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def _wxyz(matrix: np.ndarray) -> np.ndarray:
+    """The quaternion of a rotation matrix, on the host, so that making a scene compiles nothing."""
+    m = matrix
+    squares = np.array([1 + np.trace(m), *(1 + 2 * m[i, i] - np.trace(m) for i in range(3))])
+    skew = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    table = np.zeros((4, 4))
+    table[0], table[1:, 0] = [squares[0], *skew], skew
+    table[1:, 1:] = m + m.T
+    table[1, 1], table[2, 2], table[3, 3] = squares[1:]
+    best = table[squares.argmax()]
+    return best / np.linalg.norm(best)
+
+
+JOINT_SCENES: dict[str, Callable[[], Example]] = {
+    build.__name__: build for build in (double_pendulum, chain, door, four_bar, bricard, ragdoll)
+}
