@@ -89,6 +89,18 @@ from jaxrb.integrators import (
     ThreeAxisSplitting4,
     VelocityVerlet,
 )
+from jaxrb.joints import (
+    BallJoint,
+    Distance,
+    Hinge,
+    Joint,
+    JointLimit,
+    JointMotor,
+    JointServo,
+    JointSpring,
+    Slider,
+    Weld,
+)
 from jaxrb.math import (
     Drift,
     EulerAngles,
@@ -104,8 +116,11 @@ from jaxrb.scene import (
     Path,
     Scene,
     angular_momentum,
+    assembled,
     energy,
     free_flight,
+    joint_error,
+    joint_reactions,
     momentum,
     solve,
     step,
@@ -122,9 +137,11 @@ if TYPE_CHECKING:
     from jaxrb.accuracy.smoothed_gradient import smoothed_gradient
     from jaxrb.accuracy.smoothed_gradient_report import SmoothedGradient
     from jaxrb.collision import Contact, separation
-    from jaxrb.fit import InertiaFit, RatiosNotIdentifiable, fit_inertia
+    from jaxrb.fit import InertiaFit, ParametersNotIdentifiable, RatiosNotIdentifiable, SceneFit, fit_inertia
+    from jaxrb.fit import fit_scene as fit
     from jaxrb.io import Recording, read_mesh, read_recording, replay, run, write_recording
     from jaxrb.scene.adams import SmoothPath, solve_smooth
+    from jaxrb.scene.adaptive import AdaptivePath, solve_contact
     from jaxrb.scene.events import EventPath, solve_events
     from jaxrb.scene.worlds import WorldPaths, rollout_worlds
     from jaxrb.view.glb_animation import save_glb
@@ -146,7 +163,9 @@ _LATER = {
     "Plan": "jaxrb.accuracy.planner",
     "plan": "jaxrb.accuracy.planner",
     "InertiaFit": "jaxrb.fit",
+    "ParametersNotIdentifiable": "jaxrb.fit",
     "RatiosNotIdentifiable": "jaxrb.fit",
+    "SceneFit": "jaxrb.fit",
     "fit_inertia": "jaxrb.fit",
     "Recording": "jaxrb.io",
     "read_mesh": "jaxrb.io",
@@ -158,6 +177,8 @@ _LATER = {
     "solve_smooth": "jaxrb.scene.adams",
     "WorldPaths": "jaxrb.scene.worlds",
     "rollout_worlds": "jaxrb.scene.worlds",
+    "AdaptivePath": "jaxrb.scene.adaptive",
+    "solve_contact": "jaxrb.scene.adaptive",
     "EventPath": "jaxrb.scene.events",
     "solve_events": "jaxrb.scene.events",
     "save_glb": "jaxrb.view.glb_animation",
@@ -165,10 +186,12 @@ _LATER = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "fit":  # the package: calling it fits a scene
+        return importlib.import_module("jaxrb.fit")
     if name not in _LATER:
         raise AttributeError(f"module 'jaxrb' has no attribute {name!r}")
     return getattr(importlib.import_module(_LATER[name]), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LATER})
+    return sorted({*globals(), *_LATER, "fit"})

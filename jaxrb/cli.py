@@ -34,7 +34,17 @@ def demo(
 def bench(
     *,
     what: Literal[
-        "speed", "flight", "methods", "adams", "peers", "effects", "bounds", "collision", "contact"
+        "speed",
+        "flight",
+        "methods",
+        "adams",
+        "peers",
+        "effects",
+        "bounds",
+        "collision",
+        "contact",
+        "identification",
+        "joints",
     ] = "speed",
     planner: bool = False,
     json: bool = False,
@@ -49,7 +59,8 @@ def bench(
         what: speed of steps and gradients; the closed form of free flight; all methods beside each other; stabilised
             Adams beside its peers; one body beside MuJoCo, diffrax and SciPy at equal error; whether a scene
             pays only for its effects; bounding volumes, the hierarchy of boxes and the broad phase; distances and
-            depths of pairs of shapes; boxes falling on a floor and on each other, beside MuJoCo.
+            depths of pairs of shapes; boxes falling on a floor and on each other, beside MuJoCo; inertia from
+            a gyroscope beside the Cramér–Rao bound and MuJoCo; joints against closed forms and published mechanisms.
         planner: instead, the time of the planner's picks over the best that a fine search finds, on a grid of scenes
             and tolerances (some minutes).
         json: print one JSON object instead of a table.

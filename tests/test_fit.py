@@ -14,7 +14,8 @@ from jaxrb.data.make_tumbling_brick import make
 from jaxrb.errors import InvalidInput, JaxrbWarning, NotIdentifiable, RunFailed
 from jaxrb.fit import find_flights, fit, fit_inertia
 from jaxrb.fit.least_squares import levenberg_marquardt
-from jaxrb.fit.packing import pack, whole
+from jaxrb.fit.packing import pack
+from jaxrb.fit.page import residuals
 from jaxrb.fit.parametrise import coordinates_from_ratios
 from jaxrb.fit.residuals import TrajectoryResidual
 from jaxrb.io import Recording, read_recording
@@ -59,6 +60,18 @@ def test_the_result_is_an_inertia_of_the_engine_with_trace_one(fitted):
     np.testing.assert_allclose(axes.T @ inertia @ axes, np.diag(fitted.principal_ratios), atol=1e-6)
 
 
+def test_the_page_is_one_file_with_residuals_and_advice(fitted, tmp_path):
+    pytest.importorskip("matplotlib")
+    text = fitted.save_html(tmp_path / "fit.html").read_text()
+    assert text.count("<svg") == 2
+    assert "src=" not in text
+    assert "<script" not in text
+    assert "One more throw about the body axis" in text
+    left = residuals(fitted)[0]
+    assert left.shape[0] == TOSSES
+    assert np.nanstd(left) == pytest.approx(NOISE, rel=0.1)
+
+
 def test_scale_and_mass_are_said_to_be_unknown(fitted):
     assert not any(fitted.identifiable[name] for name in ("scale", "mass", "centre of mass"))
     assert all(known for name, known in fitted.identifiable.items() if name.startswith("ratio"))
@@ -89,23 +102,35 @@ def test_error_bars_are_right_over_repeated_noise(flights):
     """(θ̂ − θ)ᵀ H (θ̂ − θ) must follow χ² with five degrees of freedom."""
     repeats = 100
     recording = gyroscope(flights[0], noise=0.0)
-    pieces = whole(find_flights(recording))
+    flights_found = find_flights(recording).flights
     residual = TrajectoryResidual(substeps=1, use_spin=True, use_attitude=False)
     with jax.enable_x64(True):
-        data = jax.tree.map(jnp.asarray, pack(recording, pieces, recording.angular_velocity, (NOISE, 1.0)))
+        scales = np.array([NOISE, 1.0, 1.0])
+        packed, _ = pack(recording, flights_found, recording.angular_velocity, scales)
+        data = jax.tree.map(jnp.asarray, packed)
         truth = coordinates_from_ratios(TENSOR)
         noise = NOISE * np.random.default_rng(3).normal(size=(repeats, TOSSES, SAMPLES, 3))
 
         def solve(noise):
-            noisy = data._replace(angular_velocity=data.angular_velocity + noise)
+            noisy = data._replace(angular_velocity=data.angular_velocity + noise[:, None])
             return levenberg_marquardt(
-                residual, truth, jnp.asarray(FIRST_SPIN), noisy, weight=jnp.ones(TOSSES), free=jnp.ones(5)
+                residual,
+                truth,
+                jnp.asarray(FIRST_SPIN)[:, None],
+                noisy,
+                weight=jnp.ones(TOSSES),
+                free=jnp.ones(5),
             )
 
         found = jax.jit(jax.vmap(solve))(noise)
         n = found.normal
-        schur = n.shared - n.border @ jnp.linalg.solve(n.local, jnp.swapaxes(n.border, -1, -2))
-        distance = found.shared - truth
+        border, own = n.border[:, :, 0], n.local[:, :, 0]
+        schur = n.shared - border @ jnp.linalg.solve(own, jnp.swapaxes(border, -1, -2))
+        # In the coordinates of a step from the estimate.
+        by_step = jax.vmap(lambda at: jax.jacfwd(lambda step: residual.move(at, step))(jnp.zeros(5)))(
+            found.shared
+        )
+        distance = jnp.linalg.solve(by_step, (found.shared - truth)[..., None])[..., 0]
         chi_squared = np.asarray(jnp.einsum("ri,rsij,rj->r", distance, schur, distance))
     assert np.all(np.asarray(found.status) == 0)
     assert chi_squared.mean() == pytest.approx(5.0, abs=4 * np.sqrt(2 * 5 / repeats))

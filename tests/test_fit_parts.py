@@ -8,7 +8,15 @@ from reference_flights import TENSOR
 
 from jaxrb.errors import InvalidInput
 from jaxrb.fit import find_flights, fit_free_fall
-from jaxrb.fit.least_squares import CONVERGED, NOT_FINITE, OUT_OF_ITERATIONS, levenberg_marquardt
+from jaxrb.fit.chain import solve_chain
+from jaxrb.fit.least_squares import (
+    CONVERGED,
+    NOT_FINITE,
+    OUT_OF_ITERATIONS,
+    Alone,
+    Prior,
+    levenberg_marquardt,
+)
 from jaxrb.fit.parametrise import (
     MassMoments,
     coordinates_from_inertia,
@@ -16,6 +24,7 @@ from jaxrb.fit.parametrise import (
     coordinates_from_ratios,
     inertia_from_coordinates,
     moments_from_coordinates,
+    moved_ratios,
     ratios_from_coordinates,
 )
 from jaxrb.io import Recording
@@ -77,6 +86,9 @@ def decay(shared, local, data):
     return present * (local[0] * jnp.exp(-shared[0] * time) - value)
 
 
+DECAY = Alone(decay)
+
+
 @pytest.fixture(scope="module")
 def decays():
     noise = 0.01 * np.random.default_rng(1).normal(size=(4, 20))
@@ -88,9 +100,9 @@ def decays():
 
 def solve(data, *, shared=(0.2,), weight=(1.0, 1.0, 1.0, 1.0), free=(1.0,), **options):
     with jax.enable_x64(True):
-        data = jax.tree.map(jnp.asarray, data)
+        data = jax.tree.map(lambda array: jnp.asarray(array)[:, None], data)
         return levenberg_marquardt(
-            decay, jnp.asarray(shared), jnp.ones((4, 1)), data,
+            DECAY, jnp.asarray(shared), jnp.ones((4, 1, 1)), data,
             weight=jnp.asarray(weight), free=jnp.asarray(free), **options,
         )  # fmt: skip
 
@@ -111,13 +123,14 @@ def test_the_arrow_finds_what_a_dense_solver_finds(decays):
     found, expected = solve(decays), dense(decays, range(4))
     assert int(found.status) == CONVERGED
     np.testing.assert_allclose(np.asarray(found.shared), expected.x[:1], atol=1e-6)
-    np.testing.assert_allclose(np.asarray(found.local)[:, 0], expected.x[1:], atol=1e-6)
+    np.testing.assert_allclose(np.asarray(found.local)[:, 0, 0], expected.x[1:], atol=1e-6)
     assert float(found.cost) == pytest.approx(expected.cost, rel=1e-9)
 
 
 def test_the_information_is_that_of_the_dense_normal_equations(decays):
     n = jax.tree.map(np.asarray, solve(decays).normal)
-    schur = np.sum(n.shared - n.border @ np.linalg.solve(n.local, np.swapaxes(n.border, 1, 2)), axis=0)
+    border, own = n.border[:, 0], n.local[:, 0]
+    schur = np.sum(n.shared - border @ np.linalg.solve(own, np.swapaxes(border, 1, 2)), axis=0)
     jacobian = dense(decays, range(4)).jac
     assert 1 / schur[0, 0] == pytest.approx(np.linalg.inv(jacobian.T @ jacobian)[0, 0], rel=1e-4)
 
@@ -127,7 +140,7 @@ def test_a_segment_without_weight_is_left_out(decays):
     spoilt[1][2] = np.linspace(0, 50, 20)
     found, expected = solve(spoilt, weight=(1.0, 1.0, 0.0, 1.0)), dense(spoilt, (0, 1, 3))
     np.testing.assert_allclose(np.asarray(found.shared), expected.x[:1], atol=1e-6)
-    assert float(found.local[2, 0]) == 1.0
+    assert float(found.local[2, 0, 0]) == 1.0
 
 
 def test_a_held_parameter_stays(decays):
@@ -139,6 +152,49 @@ def test_a_held_parameter_stays(decays):
 def test_how_it_ended_is_said(decays):
     assert int(solve(decays, shared=(np.nan,)).status) == NOT_FINITE
     assert int(solve(decays, max_iterations=2).status) == OUT_OF_ITERATIONS
+
+
+def test_a_chain_is_solved_as_the_dense_matrix_is():
+    random = np.random.default_rng(3)
+    links = np.concatenate([random.normal(size=(4, 2, 2)), np.zeros((1, 2, 2))])
+    dense, right = np.zeros((10, 10)), random.normal(size=(10, 3))
+    for w in range(5):
+        here = slice(2 * w, 2 * w + 2)
+        dense[here, here] = 8.0 * np.eye(2) + 0.5
+        if w < 4:
+            there = slice(2 * w + 2, 2 * w + 4)
+            dense[here, there], dense[there, here] = links[w], links[w].T
+    with jax.enable_x64(True):
+        blocks = jnp.stack([jnp.asarray(dense[2 * w : 2 * w + 2, 2 * w : 2 * w + 2]) for w in range(5)])
+        found = solve_chain(blocks, jnp.asarray(links), jnp.asarray(right.reshape(5, 2, 3)))
+    np.testing.assert_allclose(np.asarray(found).reshape(10, 3), np.linalg.solve(dense, right), atol=1e-13)
+
+
+def test_huber_lets_a_spoilt_sample_pull_no_more_than_its_bound(decays):
+    spoilt = (decays[0], decays[1].copy(), decays[2])
+    spoilt[1][2, 5] += 3.0
+    plain, robust = (abs(float(solve(spoilt, huber=h).shared[0]) - RATE) for h in (np.inf, 0.02))
+    assert robust < 0.03 < plain
+
+
+def test_a_prior_holds_what_the_data_do_not(decays):
+    with jax.enable_x64(True):
+        sure = Prior(jnp.array([2.0]), jnp.array([[1e9]]))
+    assert float(solve(decays, prior=sure).shared[0]) == pytest.approx(2.0, abs=1e-6)
+
+
+def test_moved_ratios_are_products_of_triangular_matrices():
+    random = np.random.default_rng(0)
+    with jax.enable_x64(True):
+        here, step = random.normal(size=5), random.normal(size=5)
+
+        def lower(five):
+            matrix = np.diag([*np.exp(five[:2]), 1.0])
+            matrix[1, 0], matrix[2, 0], matrix[2, 1] = five[2:]
+            return matrix
+
+        moved = lower(np.asarray(moved_ratios(jnp.asarray(here), jnp.asarray(step))))
+    np.testing.assert_allclose(moved, lower(here) @ lower(step), atol=1e-13)
 
 
 def falling(seed: int, tosses: int = 30, gravity: float = 9.5, noise: float = 2e-4) -> Recording:

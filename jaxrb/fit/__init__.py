@@ -1,9 +1,28 @@
-"""Floor 7: inertia from a recording."""
+"""Floor 7: inertia from a recording, and any numbers of a scene: `rb.fit(scene, recording, unknowns, …)`.
+
+The package can be called: `rb.fit` is `fit_scene`, in whichever order things were imported.
+"""
+
+import sys
+from types import ModuleType
+from typing import Any
 
 from jaxrb.fit.command import fit as fit
 from jaxrb.fit.free_fall import FreeFall as FreeFall
 from jaxrb.fit.free_fall import fit_free_fall as fit_free_fall
-from jaxrb.fit.inertia import RatiosNotIdentifiable as RatiosNotIdentifiable
 from jaxrb.fit.inertia import fit_inertia as fit_inertia
+from jaxrb.fit.refusal import ParametersNotIdentifiable as ParametersNotIdentifiable
+from jaxrb.fit.refusal import RatiosNotIdentifiable as RatiosNotIdentifiable
 from jaxrb.fit.report import InertiaFit as InertiaFit
+from jaxrb.fit.residuals import UNKNOWNS as UNKNOWNS
+from jaxrb.fit.scene_fit import SceneFit as SceneFit
+from jaxrb.fit.scene_fit import fit_scene as fit_scene
 from jaxrb.fit.segments import find_flights as find_flights
+
+
+class _Callable(ModuleType):
+    def __call__(self, *arguments: Any, **options: Any) -> SceneFit:
+        return fit_scene(*arguments, **options)
+
+
+sys.modules[__name__].__class__ = _Callable

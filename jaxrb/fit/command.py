@@ -15,6 +15,10 @@ def fit(
     *,
     json: bool = False,
     drag: bool = False,
+    nuisances: tuple[str, ...] = (),
+    centre_of_mass: bool = False,
+    required: tuple[str, ...] = (),
+    html: Path | None = None,
     trace: float | None = None,
     minimum_samples: int = 7,
     angular_velocity_unit: Literal["rad/s", "deg/s"] | None = None,
@@ -24,11 +28,17 @@ def fit(
     """Inertia of a tumbling body from a recording (NPZ or CSV), with error bars.
 
     Example: jaxrb fit tosses.npz --json
+    Example: jaxrb fit throw.csv --nuisances auto --html throw.html
 
     Args:
         file: recording; its layouts are described in jaxrb.io.recording_files and jaxrb.io.recording_csv.
         json: print one JSON object instead of a table.
         drag: also fit a torque that slows the spin.
+        nuisances: "auto" for those that the recording calls for, or names: linear_drag, quadratic_drag, gyro_bias,
+            gyro_scale, tilt, delay.
+        centre_of_mass: also find the centre of mass from the accelerometer.
+        required: any of scale, mass, "centre of mass"; an error where the recording cannot give it.
+        html: write a page with residuals, bounds and advice into this file.
         trace: sum of the three moments [kg m²], if known; the recording gives ratios only.
         minimum_samples: free flights shorter than this are left out.
         angular_velocity_unit: of a file that does not say.
@@ -54,9 +64,15 @@ def fit(
             recording,
             trace=trace,
             angular_drag=drag,
+            nuisances="auto" if nuisances == ("auto",) else nuisances,
+            centre_of_mass=centre_of_mass,
+            required=required,
             minimum_samples=minimum_samples,
             progress=bar.set_description_str,
         )
+        if html is not None:
+            bar.set_description_str(f"drawing {html}")
+            found.save_html(html)
     seconds = time.perf_counter() - began
     if json:
         print(json_text.dumps({**found.as_dict(), "seconds": seconds}))

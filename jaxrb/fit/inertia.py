@@ -1,48 +1,58 @@
 """A recording becomes an inertia, with error bars and a word on what cannot be known."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.errors import InvalidInput, JaxrbWarning, NotIdentifiable, RunFailed
 from jaxrb.fit.free_fall import FreeFall, fit_free_fall
-from jaxrb.fit.least_squares import Solution
+from jaxrb.fit.least_squares import Prior
 from jaxrb.fit.packing import spin_noise
 from jaxrb.fit.parametrise import coordinates_from_ratios, ratios_from_coordinates
+from jaxrb.fit.refusal import RatiosNotIdentifiable, check_names, check_required, open_directions, refusal
 from jaxrb.fit.report import InertiaFit, Nuisance, inertia_fit
-from jaxrb.fit.residuals import RATIO_COORDINATES, TrajectoryResidual
+from jaxrb.fit.residuals import RATIO_COORDINATES, UNKNOWNS, TrajectoryResidual
 from jaxrb.fit.segments import STANDARD_GRAVITY, Flights, find_flights
-from jaxrb.fit.stages import Fitted, Problem, held, profile_rises, search, substeps_for
-from jaxrb.fit.uncertainty import UNKNOWN, Directions, directions, in_words, information
+from jaxrb.fit.selection import Tried, candidates, choose, start_of, values
+from jaxrb.fit.several import as_one, differentiated, guessed_trace
+from jaxrb.fit.stages import Fitted, Problem, search, substeps_for
+from jaxrb.fit.uncertainty import fitted_information, model_covariance
 from jaxrb.io.recording import Recording
-from jaxrb.math import Quaternion
 
-# Half a χ² by which the fit must worsen before a direction counts as measured. In each flight noise gives
-# about ±1 to a wobble whose frequency is free to be chosen: the sum grows as the root of their number.
-_REAL, _REAL_A_FLIGHT = 15.0, 5.0
 # Residuals this many times the scatter from sample to sample are more than noise; a tracker's smoothing alone
 # makes it 3.
 _MISFIT = 6.0
+_DOUBTFUL = 1.5  # where it goes with a refusal: what is not in the model may be why
 
 
-class RatiosNotIdentifiable(NotIdentifiable):
-    """The motion leaves directions of the inertia ratios open.
+@dataclass(frozen=True)
+class _Wishes:
+    """The options of `fit_inertia` that shape the problem."""
 
-    `null_vectors` (n, 6) are those directions as changes of I/tr(I): xx, yy, zz, xy, xz, yz.
-    """
-
-    def __init__(self, message: str, null_vectors: np.ndarray):
-        super().__init__(message)
-        self.null_vectors = null_vectors
+    trace: float | None
+    always: tuple[str, ...]
+    among: tuple[str, ...]
+    force: bool
+    huber: float
+    prior: Mapping[str, tuple[float, float]]
+    max_iterations: int
 
 
 def fit_inertia(
-    recording: Recording,
+    recording: Recording | Sequence[Recording],
     *,
     trace: float | None = None,
     angular_drag: bool = False,
+    nuisances: Sequence[str] | Literal["auto"] = (),
+    centre_of_mass: bool = False,
+    required: Sequence[str] = (),
+    huber: float | None = None,
+    prior: Mapping[str, tuple[float, float]] | None = None,
     gravity: float = STANDARD_GRAVITY,
     minimum_samples: int = 7,
     start: np.ndarray | None = None,
@@ -52,15 +62,22 @@ def fit_inertia(
     """Inertia of a tumbling body from its free flights, by least squares on whole trajectories.
 
     Torque-free motion fixes the inertia only up to its scale, so the result has trace 1 unless `trace` gives
-    the scale from elsewhere; mass and centre of mass are never seen. Everything is computed in float64, also
-    where JAX's default is float32 (inside a local `jax.enable_x64(True)`; no global setting is touched).
+    the scale from elsewhere, or the recording has the momentum of a wheel that turns in the body; mass is never seen.
+    Everything is computed in float64, also where JAX's default is float32 (inside a local `jax.enable_x64(True)`; no
+    global setting is touched).
 
     Args:
-        recording: with angular velocity, orientation or both. With positions, free flights are cut out of it
-            and the free-fall acceleration is measured beside; without, each toss is taken as one free flight.
+        recording: one or several of one body, with angular velocity, orientation or both. Free flights are cut out of
+            it by positions, else by an accelerometer; without both, each toss is taken as one free flight.
         trace: tr(I) [kg m²], if known.
-        angular_drag: also fit a torque −c tr(I) ω. Left out where there is drag, it biases the smallest
-            moment.
+        angular_drag: also fit a torque −c tr(I) ω; the same as "linear_drag" among the nuisances. Left out where there
+            is drag, it biases the smallest moment.
+        nuisances: names of `jaxrb.fit.UNKNOWNS` to be fitted too, or "auto": those that the recording calls for, each
+            by its likelihood ratio (Bayesian information criterion).
+        centre_of_mass: also fit the lever arm from the centre of mass to the accelerometer, from its specific force.
+        required: any of "scale", "mass", "centre of mass"; what the recording cannot give raises.
+        huber: standard deviations beyond which a sample's pull stops growing, such as 2.5; None is least squares.
+        prior: mean and standard deviation of nuisances by name, in their units; of "scale", tr(I) [kg m²].
         gravity: expected free-fall acceleration [m/s²], to find flights by.
         minimum_samples: shorter flights are left out.
         start: (3, 3) inertia of any scale to start from; by default a sphere.
@@ -69,43 +86,142 @@ def fit_inertia(
 
     Raises:
         InvalidInput: for a recording without rotation or without flights, or a bad option.
-        NotIdentifiable: if the motion leaves the ratios open, such as a spin about one principal axis; the
-            message names the open directions and `null_vectors` holds them.
+        NotIdentifiable: if the motion leaves the ratios open, such as a spin about one principal axis, or cannot give
+            what is `required`; the message names the open directions and `null_vectors` holds them.
     """
+    recording = as_one(recording)
     if recording.angular_velocity is None and recording.orientation is None:
         raise InvalidInput(
             f"{recording.source}: neither angular_velocity nor orientation; the inertia leaves no trace."
         )
-    if trace is not None and not (np.isfinite(trace) and trace > 0):
-        raise InvalidInput(f"fit_inertia: trace is {trace}, but must be a positive number [kg m²].")
+    wishes = _wishes(recording, trace, angular_drag, nuisances, centre_of_mass, huber, prior, max_iterations)
+    check_names(required)
     flights = find_flights(recording, gravity=gravity, minimum_samples=minimum_samples)
     if not len(flights):
         raise InvalidInput(f"{recording.source}: no toss has the 3 samples that a flight needs.")
     with jax.enable_x64(True):
-        problem = _problem(recording, flights, angular_drag, progress or (lambda line: None))
-        fitted = search(problem, _starts(start, angular_drag), max_iterations)
-        info = information(fitted.solution.normal, fitted.weight)
-        shared = np.asarray(fitted.solution.shared)
+        problem = _problem(recording, flights, wishes, progress or (lambda line: None))
+        starts, always = _starts(problem, start), wishes.always
+        fitted = search(problem, starts)
+        if "linear_drag" in wishes.among and _misfit(problem, fitted) > _MISFIT:
+            # Where drag bends the track far enough, the search without it ends nowhere near.
+            with_drag = problem.with_free((*always, "linear_drag"))
+            other = search(with_drag, starts)
+            if other.scales[0] < fitted.scales[0]:
+                problem, fitted, always = with_drag, other, (*always, "linear_drag")
+        problem, fitted, tried = choose(problem, fitted, always, wishes.among)
         misfit = _misfit(problem, fitted)
-        open_ = _open_directions(problem, fitted)
-        if len(open_.deviation):
-            if misfit > _MISFIT:
-                raise RunFailed(f"{recording.source}: no free tumble was found that fits. {_doubt(misfit)}")
-            raise RatiosNotIdentifiable(_refusal(problem, open_), open_.rows)
+        _refuse(problem, fitted, misfit)
         if misfit > _MISFIT:
             warnings.warn(f"{recording.source}: {_doubt(misfit)}", JaxrbWarning, stacklevel=2)
+        shared = np.asarray(fitted.solution.shared)
         ratios = np.asarray(ratios_from_coordinates(shared[:RATIO_COORDINATES]))
-        nuisance = _nuisance(problem, fitted, _free_fall(recording, flights), misfit)
+        scale_seen = trace is not None or "scale" in wishes.always
+        check_required(required, ratios, scale_seen, centre_of_mass, recording.source)
+        info = fitted_information(problem, fitted.solution, fitted.weight)
+        nuisance = _nuisance(
+            problem, fitted, _free_fall(recording, flights), misfit, tried, model_covariance(info)
+        )
         toss = np.array([flight.toss for flight in flights.flights])
-        return inertia_fit(ratios, shared, info, toss, fitted.weight > 0, nuisance, trace)
+        return inertia_fit(problem, fitted, ratios, info, toss, nuisance, trace)
 
 
-def _starts(start: np.ndarray | None, drag: bool) -> list[np.ndarray]:
+def _wishes(recording, trace, drag, nuisances, centre, huber, prior, max_iterations) -> _Wishes:
+    """Options, checked."""
+    if trace is not None and not (np.isfinite(trace) and trace > 0):
+        raise InvalidInput(f"fit_inertia: trace is {trace}, but must be a positive number [kg m²].")
+    if huber is not None and not huber > 0:
+        raise InvalidInput(f"fit_inertia: huber is {huber}, but must be positive [standard deviations].")
+    if centre and recording.specific_force is None:
+        raise NotIdentifiable(
+            f"{recording.source}: the centre of mass was asked for, and rotation does not depend on it; record an "
+            "accelerometer (specific_force)."
+        )
+    able = candidates(recording.angular_velocity is not None, recording.orientation is not None)
+    named = () if nuisances == "auto" else tuple(nuisances)
+    for name in (*named, *(prior or {})):
+        if name != "scale" and name not in able:
+            raise InvalidInput(
+                f"fit_inertia: nuisance {name!r} is not known or leaves no trace in {recording.source}; there "
+                f"{', '.join(able)} can be fitted."
+            )
+    always = dict.fromkeys([*(("linear_drag",) if drag else ()), *named])
+    if recording.internal_momentum is not None and trace is None:
+        always["scale"] = None
+    if centre:
+        always |= dict.fromkeys(("lever_arm", "accelerometer_bias"))
+    among = tuple(name for name in able if name not in always) if nuisances == "auto" else ()
+    return _Wishes(
+        trace, tuple(always), among, centre, np.inf if huber is None else huber, prior or {}, max_iterations
+    )
+
+
+def _problem(recording: Recording, flights: Flights, wishes: _Wishes, progress) -> Problem:
+    measured = recording.angular_velocity
+    residual = TrajectoryResidual(
+        substeps=substeps_for(recording, flights),
+        use_spin=measured is not None,
+        use_attitude=recording.orientation is not None,
+        use_force=wishes.force,
+        unknowns=(*wishes.always, *wishes.among),
+    )
+    spin = differentiated(recording) if measured is None else measured
+    unit = 1.0 if wishes.trace is None else wishes.trace
+    if "scale" in wishes.always:
+        unit = guessed_trace(recording, flights, spin)
+    problem = Problem(
+        recording, flights, spin, residual, np.ones(residual.shared_size), progress, unit, wishes.huber,
+        _prior(residual, wishes.prior, unit), wishes.max_iterations,
+    )  # fmt: skip
+    return problem.with_free(wishes.always)
+
+
+def _prior(
+    residual: TrajectoryResidual, beliefs: Mapping[str, tuple[float, float]], unit: float
+) -> Prior | None:
+    if not beliefs:
+        return None
+    mean, precision = np.zeros(residual.shared_size), np.zeros(residual.shared_size)
+    for name, (value, deviation) in beliefs.items():
+        if not (np.isfinite(value) and deviation > 0) or (name == "scale" and not value > 0):
+            raise InvalidInput(
+                f"fit_inertia: prior of {name!r} is ({value}, {deviation}); give mean and deviation > 0."
+            )
+        if name not in residual.unknowns:
+            raise InvalidInput(f"fit_inertia: prior of {name!r}, which is not fitted; add it to nuisances.")
+        if name == "scale":  # its coordinate is a logarithm
+            value, deviation = np.log(value / unit), deviation / value
+        mean[residual.place(name)], precision[residual.place(name)] = value, deviation**-2.0
+    return Prior(jnp.asarray(mean), jnp.diag(jnp.asarray(precision)))
+
+
+def _starts(problem: Problem, start: np.ndarray | None) -> list[np.ndarray]:
     """Coordinates to begin from: the caller's, a sphere, and three discs."""
     # A disc's moments obey A + B = C; this one has a little thickness.
     discs = [np.eye(3) + 0.9 * np.diag(row) for row in np.eye(3)]
     inertias = [*([] if start is None else [np.asarray(start, float)]), np.eye(3), *discs]
-    return [np.concatenate([coordinates_from_ratios(i), np.zeros(int(drag))]) for i in inertias]
+    return [start_of(problem, np.asarray(coordinates_from_ratios(i))) for i in inertias]
+
+
+def _refuse(problem: Problem, fitted: Fitted, misfit: float) -> None:
+    """Raise where the motion leaves the inertia open."""
+    source = problem.recording.source
+    open_ = open_directions(problem, fitted)
+    if len(open_.deviation):
+        if misfit > _MISFIT:
+            raise RunFailed(f"{source}: no free tumble was found that fits. {_doubt(misfit)}")
+        doubt = f" {_doubt(misfit)}" if misfit > _DOUBTFUL else ""
+        raise RatiosNotIdentifiable(refusal(problem, open_) + doubt, open_.rows)
+    if "scale" in problem.residual.unknowns:
+        found = model_covariance(fitted_information(problem, fitted.solution, fitted.weight))
+        error = float(
+            np.sqrt(found[problem.residual.place("scale")][0, problem.residual.place("scale").start])
+        )
+        if not 0.0 < error < 1.0:
+            raise NotIdentifiable(
+                f"{source}: the wheel's torque is lost in the noise (relative error of the scale {error:.2g}). "
+                "Turn the wheel faster, or leave internal_momentum away and fit the ratios alone."
+            )
 
 
 def _misfit(problem: Problem, fitted: Fitted) -> float:
@@ -118,33 +234,9 @@ def _misfit(problem: Problem, fitted: Fitted) -> float:
 def _doubt(misfit: float) -> str:
     return (
         f"The residuals are {misfit:.1f} times the scatter from sample to sample, so something besides a "
-        "free tumble and noise is in them: air drag (try angular_drag), a contact, a wrong unit or frame, "
-        "or a poor start. Neither the value nor its error bar can be trusted."
+        'free tumble and noise is in them: air drag or an instrument\'s errors (try nuisances="auto"), a contact, a '
+        "wrong unit or frame, or a poor start. Neither the value nor its error bar can be trusted."
     )
-
-
-def _problem(recording: Recording, flights: Flights, drag: bool, progress: Callable[[str], None]) -> Problem:
-    spin = recording.angular_velocity
-    residual = TrajectoryResidual(
-        substeps=substeps_for(recording, flights),
-        use_spin=spin is not None,
-        use_attitude=recording.orientation is not None,
-        drag=drag,
-    )
-    return Problem(
-        recording, flights, _differentiated(recording) if spin is None else spin, residual, progress
-    )
-
-
-def _differentiated(recording: Recording) -> np.ndarray:
-    """Mean angular velocity (N, 3) [rad/s] of the interval after each sample, from the attitudes."""
-    attitude = np.asarray(recording.orientation)
-    turn = np.asarray((Quaternion(attitude[:-1]).inverse() @ Quaternion(attitude[1:])).log())
-    spin = turn / np.diff(recording.time)[:, None]
-    spin = np.concatenate([spin, spin[-1:]])
-    ends = recording.starts[1:] - 1
-    spin[ends] = spin[ends - 1]
-    return spin
 
 
 def _free_fall(recording: Recording, flights: Flights) -> FreeFall | None:
@@ -152,65 +244,36 @@ def _free_fall(recording: Recording, flights: Flights) -> FreeFall | None:
     return fit_free_fall(recording, flights) if recording.position is not None and len(tosses) > 1 else None
 
 
-def _open_directions(problem: Problem, fitted: Fitted) -> Directions:
-    """The directions that the data do not determine."""
-    problem.progress("checking that each direction is really seen")
-    # Where a sphere explains the data as well, it is the honest place to look from: the fit may have bent the
-    # inertia to suit the noise, and there noise poses as a wobble.
-    shared = np.asarray(fitted.solution.shared)
-    sphere = held(problem, fitted, np.concatenate([np.zeros(RATIO_COORDINATES), shared[RATIO_COORDINATES:]]))
-    if float(sphere.cost) - float(fitted.solution.cost) < 2.0 * _real(fitted):
-        return _open_at(problem, fitted, sphere)
-    return _open_at(problem, fitted, fitted.solution)
-
-
-def _open_at(problem: Problem, fitted: Fitted, solution: Solution) -> Directions:
-    found = directions(information(solution.normal, fitted.weight), np.asarray(solution.shared))
-    unknown = found.deviation > UNKNOWN
-    rises = profile_rises(problem, fitted, solution, found.move, np.where(unknown, np.inf, found.deviation))
-    unknown |= np.array([rise < min(_real(fitted), 0.3 * foretold) for rise, foretold in rises])
-    return Directions(*(part[unknown] for part in found))
-
-
-def _real(fitted: Fitted) -> float:
-    return _REAL + _REAL_A_FLIGHT * float(np.sqrt(fitted.weight.sum()))
-
-
-def _refusal(problem: Problem, open_: Directions) -> str:
-    spin = np.concatenate([problem.spin[f.start : f.stop] for f in problem.flights.flights])
-    moment, axes = np.linalg.eigh(spin.T @ spin)
-    angle = np.degrees(np.arctan2(np.sqrt(max(moment[:2].sum(), 0.0)), np.sqrt(moment[2])))
-    axis = axes[:, 2] * np.sign(axes[np.argmax(np.abs(axes[:, 2])), 2])
-    open_words = "; ".join(in_words(open_.rows))
-    return (
-        f"{problem.recording.source}: the motion determines {5 - len(open_.deviation)} of the 5 inertia "
-        f"ratios. Left open: {open_words}. Changing the inertia that way changes nothing that was recorded. "
-        f"The spin stays within {angle:.2g}° (root mean square) of the body axis "
-        f"({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}). Record tosses that tumble, about several "
-        "axes; a pure spin about a principal axis shows only that it is one. The scale of the inertia and "
-        "the mass stay unknown in any free flight."
-    )
-
-
-def _nuisance(problem: Problem, fitted: Fitted, fall: FreeFall | None, misfit: float) -> Nuisance:
+def _nuisance(
+    problem: Problem,
+    fitted: Fitted,
+    fall: FreeFall | None,
+    misfit: float,
+    tried: list[Tried],
+    covariance: np.ndarray,
+) -> Nuisance:
     flights = problem.flights.flights
-    shared = np.asarray(fitted.solution.shared)
     rejected = dict(problem.flights.rejected)
     misfits = int(np.sum(fitted.weight == 0))
     if misfits:
         rejected["residuals 4 times the usual"] = misfits
     used = fitted.weight > 0
+    found = {name: pair for name, pair in values(problem, fitted, covariance).items() if name != "scale"}
+    drag, scales = found.get("linear_drag"), fitted.scales
     return Nuisance(
         source=problem.recording.source,
         free_fall=fall,
-        spin_noise=float(fitted.scales[0]) if problem.residual.use_spin else None,
-        attitude_noise=float(fitted.scales[1]) if problem.residual.use_attitude else None,
+        spin_noise=float(scales[0]) if problem.residual.use_spin else None,
+        attitude_noise=float(scales[1]) if problem.residual.use_attitude else None,
+        force_noise=float(scales[2]) if problem.residual.use_force else None,
         residual_ratio=misfit if problem.residual.use_spin else None,
-        angular_drag=float(shared[RATIO_COORDINATES]) if problem.residual.drag else None,
+        angular_drag=None if drag is None else float(drag[0][0]),
+        values={name: (*pair, UNKNOWNS[name][1]) for name, pair in found.items()},
+        tried=tuple(tried),
         flights_used=int(used.sum()),
         samples_used=int(sum(len(flight) for flight, use in zip(flights, used) if use)),
         rejected=rejected,
-        declared_flights=problem.flights.declared,
+        cut_by=problem.flights.cut_by,
         integration_error=fitted.integration_error,
         stages=tuple(fitted.stages),
     )

@@ -77,6 +77,18 @@ def coordinates_from_ratios(inertia: Matrix) -> Array:
     return jnp.concatenate([six[:2] - six[2], six[3:] * jnp.exp(-six[2])])
 
 
+def moved_ratios(coordinates: Array, step: Array) -> Array:
+    """Five coordinates a step (5,) away, in the body's own measure: L K(step) with K of these same coordinates.
+
+    Lower triangular matrices are a group, so any step leads to coordinates, and a step of one changes a thin plate by
+    as much of itself as it changes a sphere. Plain sums ran off to plates from which no way led back.
+    """
+    d2, (l21, l31, l32) = jnp.exp(coordinates[1]), coordinates[2:]
+    (k1, k2), (k21, k31, k32) = jnp.exp(step[:2]), step[2:]
+    below = jnp.stack([l21 * k1 + d2 * k21, l31 * k1 + l32 * k21 + k31, l32 * k2 + k32])
+    return jnp.concatenate([coordinates[:2] + step[:2], below])
+
+
 def moments_from_coordinates(coordinates: Array) -> MassMoments:
     """Mass, first moment and inertia from ten coordinates α, d₁ d₂ d₃, s₁₂ s₂₃ s₁₃, t₁ t₂ t₃.
 

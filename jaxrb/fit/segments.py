@@ -2,17 +2,16 @@
 
 In free flight the centre of mass accelerates evenly, straight down, and the angular velocity changes
 smoothly. Both are looked for; every stretch that is left out is counted with its reason. A recording without
-positions cannot be cut: each toss is taken as one flight, as the one who recorded it says.
+positions is cut by its accelerometer; without both, each toss is taken as one flight, as the one who recorded it says.
 """
-
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from jaxrb.errors import InvalidInput
+from jaxrb.fit.flights import STANDARD_GRAVITY, Flight, Flights, counted, runs, smooth_spin, split
+from jaxrb.fit.weightless import weightless
 from jaxrb.io.recording import Recording
 
-STANDARD_GRAVITY = 9.81  # [m/s²], to the two digits that hold anywhere on Earth's surface
 # A window counts as falling freely when its acceleration lies in this ball about gravity (relative); wide
 # enough for a wrong metre or a strong drag, narrow enough to leave out resting, rolling and sliding.
 _BALL = 0.35
@@ -20,37 +19,6 @@ _BALL = 0.35
 # out then.
 _SCATTER = 0.1
 _SIGMAS = 4.0
-_SIGMAS_SPIN = 8.0  # of second differences of ω, whose noise has heavy tails in camera data
-
-
-@dataclass(frozen=True)
-class Flight:
-    """Samples `start` to `stop` (exclusive) of the stacked arrays, all of one toss and in free flight."""
-
-    toss: int
-    start: int
-    stop: int
-
-    def __len__(self) -> int:
-        return self.stop - self.start
-
-
-@dataclass(frozen=True)
-class Flights:
-    """The free flights of a recording.
-
-    `rejected` counts the stretches left out by reason; `acceleration_scatter` [m/s²] is the noise of one
-    window's acceleration, and `declared` says that there was no position to look at, so every toss is taken
-    as one flight.
-    """
-
-    flights: tuple[Flight, ...]
-    rejected: dict[str, int] = field(default_factory=dict)
-    acceleration_scatter: float | None = None
-    declared: bool = False
-
-    def __len__(self) -> int:
-        return len(self.flights)
 
 
 def find_flights(
@@ -59,7 +27,7 @@ def find_flights(
     """Cut a recording into free flights.
 
     Args:
-        recording: with `position` (world frame, z up) if it is to be cut.
+        recording: with `position` (world frame, z up), or `specific_force` and angular velocity, if it is to be cut.
         gravity: expected free-fall acceleration [m/s²]; values 35 % off are still found.
         minimum_samples: shorter flights are left out (and counted).
         trim: samples left away at either end, since the smoothing of a tracker smears each contact over them.
@@ -67,22 +35,28 @@ def find_flights(
     Raises:
         InvalidInput: if no flight is found, with the accelerations seen.
     """
+    if (
+        recording.position is None
+        and recording.specific_force is not None
+        and recording.angular_velocity is not None
+    ):
+        return weightless(recording, gravity, minimum_samples)
     if recording.position is None:
         bounds = zip(recording.starts[:-1], recording.starts[1:])
         flights = tuple(Flight(toss, int(a), int(b)) for toss, (a, b) in enumerate(bounds))
         kept = tuple(flight for flight in flights if len(flight) >= 3)
-        return Flights(kept, _counted({"shorter than 3 samples": len(flights) - len(kept)}), declared=True)
+        return Flights(kept, counted({"shorter than 3 samples": len(flights) - len(kept)}), cut_by="declared")
     middle, scatter, windows, half = _falling(recording, gravity)
-    smooth = _smooth_spin(recording, windows, half)
+    smooth = smooth_spin(recording)
     flights, rejected = (
         [],
         {"too short": 0, "jump of angular velocity": 0, "position is no parabola of free fall": 0},
     )
     for toss, (centres, acceleration) in enumerate(windows):
         free = np.all(np.abs(acceleration - middle) < _SIGMAS * scatter, axis=1)
-        for first, last in _runs(free):
+        for first, last in runs(free):
             start, stop = int(centres[first]) - half + trim, int(centres[last]) + half + 1 - trim
-            pieces = _split(start, stop, smooth)
+            pieces = split(start, stop, smooth)
             rejected["jump of angular velocity"] += len(pieces) - 1
             for a, b in pieces:
                 if b - a < minimum_samples:
@@ -96,7 +70,7 @@ def find_flights(
             f"{recording.source}: field 'position' shows no free flight of {minimum_samples} samples near "
             f"{gravity} m/s². Check length_unit and that z is up, or lower minimum_samples."
         )
-    return Flights(tuple(kept), _counted(rejected), float(scatter))
+    return Flights(tuple(kept), counted(rejected), float(scatter))
 
 
 def _falling(recording: Recording, gravity: float):
@@ -143,33 +117,6 @@ def _window_accelerations(recording: Recording, toss: int, half: int) -> tuple[n
     return np.arange(a + half, b - half), 2.0 * coefficients[:, 2] / scale**2
 
 
-def _smooth_spin(recording: Recording, windows: list, half: int) -> np.ndarray:
-    """(N,) False where the angular velocity bends far more sharply than it usually does."""
-    smooth = np.ones(len(recording.time), bool)
-    spin = recording.angular_velocity
-    if spin is None:
-        return smooth
-    bend = np.zeros(len(spin))
-    for a, b in zip(recording.starts[:-1], recording.starts[1:]):
-        if b - a > 2:
-            bend[a + 1 : b - 1] = np.linalg.norm(
-                spin[a + 2 : b] - 2 * spin[a + 1 : b - 1] + spin[a : b - 2], axis=1
-            )
-    scale = np.median(bend)
-    return bend <= _SIGMAS_SPIN * scale if scale > 0 else smooth
-
-
-def _runs(free: np.ndarray) -> list[tuple[int, int]]:
-    """First and last index of each stretch of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], free.astype(int), [0]])))
-    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
-
-
-def _split(start: int, stop: int, smooth: np.ndarray) -> list[tuple[int, int]]:
-    """The stretches of start…stop between sharp bends; a bend at sample k spoils k alone."""
-    return [(start + a, start + b + 1) for a, b in _runs(smooth[start:stop])] or [(start, start)]
-
-
 def _parabolas(recording: Recording, flights: list[Flight]) -> list[Flight]:
     """Flights that scatter about their own parabola as usual, and whose parabola bends as the others' do."""
     if not flights:
@@ -195,7 +142,3 @@ def parabola(recording: Recording, flight: Flight) -> tuple[np.ndarray, np.ndarr
     basis = np.stack([np.ones_like(time), time, 0.5 * time**2], axis=-1)
     coefficients = np.linalg.lstsq(basis, place, rcond=None)[0]
     return coefficients, place - basis @ coefficients
-
-
-def _counted(rejected: dict[str, int]) -> dict[str, int]:
-    return {reason: count for reason, count in rejected.items() if count}

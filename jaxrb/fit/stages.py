@@ -1,61 +1,68 @@
-"""The search for the best trajectory fit: short windows first, then whole flights, noise and misfits.
-
-From a poor start, a long trajectory is lost after a few turns and its sum of squares is full of hollows. Over
-a window of a few radians there is one hollow. So windows are fitted first, all of them at once with the
-inertia in common, and made longer until the inertia is known well enough to follow a whole flight.
-"""
+"""The search for the best trajectory fit: multiple shooting from several starts, then noise scales and misfits."""
 
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrb.fit.least_squares import MEANING, Solution, levenberg_marquardt
-from jaxrb.fit.packing import Pieces, longest_turn, pack, spin_noise, turn_per_sample, whole, windows
+from jaxrb.compilation import jit
+from jaxrb.fit.least_squares import MEANING, Prior, Solution, levenberg_marquardt
+from jaxrb.fit.packing import pack, rounded, spin_noise, turn_per_sample
 from jaxrb.fit.residuals import RATIO_COORDINATES, FlightData, TrajectoryResidual
 from jaxrb.fit.segments import Flights
-from jaxrb.fit.uncertainty import directions, information
+from jaxrb.fit.shooting import schedule, tighten
 from jaxrb.io.recording import Recording
 
-_WINDOW_TURN = 4.0  # [rad] of the first windows
-_WINDOW_GROWTH = 8
+_WINDOW_TURN = 0.6  # [rad] of a window
+_SHORTEST_WINDOW = 4  # intervals
 _SUBSTEP_TURN = (
     0.2  # [rad] a Runge–Kutta step may span: its error is then 1e-6 of the turn; checked after the fit
 )
-_SHORTEST_WINDOW = 8  # intervals
 _OUTLIER = 4.0  # times the usual misfit
 _ENOUGH_TO_JUDGE = 8  # flights
 _FIRST_ATTITUDE_SCALE = 1e-3  # [rad], a guess that the fit corrects
+_FIRST_FORCE_SCALE = 0.1  # [m/s²], another
 
 
 @dataclass
 class Problem:
-    """What is fitted to what."""
+    """What is fitted to what, and how."""
 
     recording: Recording
     flights: Flights
     spin: np.ndarray  # (N, 3) [rad/s] measured, or differentiated from the attitude
     residual: TrajectoryResidual
+    free: np.ndarray  # (P,) 1 for shared unknowns to be fitted, 0 for those held
     progress: Callable[[str], None]
+    unit: float = 1.0  # [kg m²] the first guess of tr(I)
+    huber: float = np.inf
+    prior: Prior | None = None
+    max_iterations: int = 200
 
-    def pack(self, pieces: Pieces, scales: np.ndarray) -> FlightData:
-        """Padded arrays of the pieces, on the device."""
-        return jax.tree.map(jnp.asarray, pack(self.recording, pieces, self.spin, (scales[0], scales[1])))
+    def pack(self, scales: np.ndarray, count: int | None = None) -> tuple[FlightData, np.ndarray]:
+        """Padded arrays of the flights, in one piece or in windows of `count` intervals."""
+        intervals = max(len(flight) for flight in self.flights.flights) - 1
+        longest = rounded(intervals) if count is None else count * rounded(-(-intervals // count))
+        return pack(
+            self.recording, self.flights.flights, self.spin, scales, count,
+            longest=longest, unit=self.unit, force=self.residual.use_force,
+        )  # fmt: skip
 
-    def first_local(self, pieces: Pieces, known: dict[int, np.ndarray]) -> np.ndarray:
-        """(S, Q) start of the pieces' own unknowns: a known angular velocity, else the measured one."""
-        local = np.zeros((len(pieces), self.residual.local_size))
-        local[:, :3] = [known.get(piece.start, self.spin[piece.start]) for piece in pieces]
-        return local
+    def with_free(self, names: tuple[str, ...]) -> "Problem":
+        """The same problem with only the ratios and these unknowns fitted."""
+        free = np.zeros(self.residual.shared_size)
+        free[:RATIO_COORDINATES] = 1.0
+        for name in names:
+            free[self.residual.place(name)] = 1.0
+        return dataclasses.replace(self, free=free)
 
 
 @dataclass
 class Fitted:
-    """The best fit found, with its data. `scales`: of the angular velocity and of the attitude."""
+    """The best fit found, with its data. `scales`: of the angular velocity, of the attitude, of the specific force."""
 
     solution: Solution
     data: FlightData
@@ -68,52 +75,92 @@ class Fitted:
 
 def substeps_for(recording: Recording, flights: Flights) -> int:
     """Runge–Kutta steps between two samples."""
-    return max(1, int(np.ceil(turn_per_sample(recording, flights, 1.0) / _SUBSTEP_TURN)))
+    needed = max(1, int(np.ceil(turn_per_sample(recording, flights, 1.0) / _SUBSTEP_TURN)))
+    return 1 if needed == 1 else rounded(needed)
 
 
-def search(problem: Problem, starts: list[np.ndarray], max_iterations: int) -> Fitted:
-    """Fit windows of growing length, then whole flights with noise scales and outliers.
+def first_scales(recording: Recording, flights: Flights) -> np.ndarray:
+    """Guesses (3,) of the noise of a sample's angular velocity, attitude and specific force."""
+    return np.array([spin_noise(recording, flights), _FIRST_ATTITUDE_SCALE, _FIRST_FORCE_SCALE])
 
-    `starts` are coordinates (P,) to begin from, in the order in which they are tried.
+
+def search(problem: Problem, starts: list[np.ndarray]) -> Fitted:
+    """Multiple shooting, then whole flights with noise scales and outliers.
+
+    `starts` are shared unknowns (P,) to begin from, in the order in which they are tried.
     """
-    scales = np.array([spin_noise(problem.recording, problem.flights), _FIRST_ATTITUDE_SCALE])
-    stages: list[str] = []
-    starts, known = _through_windows(problem, starts, scales, max_iterations, stages)
-    pieces = whole(problem.flights)
-    first = _best_of(problem, starts, pieces, problem.first_local(pieces, known), scales, max_iterations)
-    shared, local = np.asarray(first.shared), np.asarray(first.local)
-    weight = np.ones(len(pieces))
-    for round_ in range(8):
-        data = problem.pack(pieces, scales)
-        problem.progress(f"whole flights, round {round_ + 1}: {int(weight.sum())} of {len(pieces)}")
-        solution = solve(problem.residual, shared, local, data, weight, max_iterations)
-        shared, local = np.asarray(solution.shared), np.asarray(solution.local)
+    scales = first_scales(problem.recording, problem.flights)
+    best, stages = _best_of(problem, starts, scales)
+    return refine(problem, best, scales, stages)
+
+
+def refine(
+    problem: Problem, near: Solution, scales: np.ndarray, stages: list[str], rounds: int = 8
+) -> Fitted:
+    """Whole flights from a solution nearby; noise scales and outliers follow the residuals until they settle."""
+    shared, local, count = near.shared, near.local, len(problem.flights)
+    weight = np.ones(count)
+    for round_ in range(rounds):
+        data = _on_device(problem.pack(scales)[0])
+        problem.progress(f"whole flights, round {round_ + 1}: {int(weight.sum())} of {count}")
+        solution = solve(problem, shared, local, data, weight)
+        shared, local = solution.shared, solution.local
         squares, error = _squares(problem.residual, shared, local, data)
         misfit, new_scales, new_weight = _reweigh(problem, data, np.asarray(squares), scales)
         settled = np.all(np.abs(np.log(new_scales / scales)) < 0.01) and np.array_equal(weight, new_weight)
-        stages.append(_account("whole flights", len(pieces), solution))
-        if settled or round_ == 7:
+        stages.append(_account("whole flights", count, solution))
+        if settled or round_ == rounds - 1:
             break
         scales, weight = new_scales, new_weight
     return Fitted(solution, data, weight, scales, misfit, float(error), stages)
 
 
-def solve(residual, shared, local, data, weight, max_iterations: int, free=None) -> Solution:
-    """The compiled solver with everything as device arrays."""
-    shared = jnp.asarray(shared)
-    free = jnp.ones_like(shared) if free is None else jnp.asarray(free)
+def solve(
+    problem: Problem, shared, local, data: FlightData, weight, max_iterations: int | None = None
+) -> Solution:
+    """The compiled solver on whole flights."""
     return levenberg_marquardt(
-        residual, shared, jnp.asarray(local), data, weight=jnp.asarray(weight), free=free,
-        max_iterations=jnp.asarray(max_iterations), tolerance=jnp.asarray(1e-8),
+        problem.residual, jnp.asarray(shared), jnp.asarray(local), data,
+        weight=jnp.asarray(weight), free=jnp.asarray(problem.free), huber=jnp.asarray(problem.huber),
+        prior=problem.prior, tolerance=jnp.asarray(1e-8),
+        max_iterations=jnp.asarray(problem.max_iterations if max_iterations is None else max_iterations),
     )  # fmt: skip
 
 
-def _best_of(problem: Problem, starts: list[np.ndarray], pieces: Pieces, local, scales, max_iterations: int):
+def _on_device(data: FlightData) -> FlightData:
+    return jax.tree.map(jnp.asarray, data)
+
+
+def window_intervals(recording: Recording, flights: Flights) -> int:
+    """Intervals in a window."""
+    per_sample = max(turn_per_sample(recording, flights), 1e-12)
+    longest = max(map(len, flights.flights))
+    return rounded(max(_SHORTEST_WINDOW, int(np.ceil(min(_WINDOW_TURN / per_sample, longest)))))
+
+
+def _best_of(problem: Problem, starts: list[np.ndarray], scales: np.ndarray) -> tuple[Solution, list[str]]:
     """The lowest end of the starts. When two have ended at the same cost, the others are not tried."""
-    data = problem.pack(pieces, scales)
-    best, agreed = None, False
-    for shared in starts:
-        there = solve(problem.residual, shared, local, data, np.ones(len(pieces)), max_iterations)
+    count = window_intervals(problem.recording, problem.flights)
+    chain, joined = problem.pack(scales, count)
+    nodes = np.zeros((*joined.shape, problem.residual.local_size))
+    nodes[..., :3] = chain.angular_velocity[:, :, 0]
+    whole, centred = _on_device(problem.pack(scales)[0]), np.zeros(problem.residual.shared_size)
+    centred[:RATIO_COORDINATES] = 1.0
+    chain, weight = _on_device(chain), np.ones(len(nodes))
+    plan = schedule(chain.angular_velocity, chain.scales[..., 0], chain.present)
+    best, agreed, stages = None, False, []
+    for number, shared in enumerate(starts):
+        said = f"{joined.size} windows of {count} intervals, start {number + 1}"
+        problem.progress(said)
+        near = tighten(
+            problem.residual, jnp.asarray(shared), jnp.asarray(nodes), chain, jnp.asarray(joined),
+            weight=jnp.asarray(weight), free=jnp.asarray(problem.free), stages=plan, centred=jnp.asarray(centred),
+            huber=jnp.asarray(problem.huber), prior=problem.prior,
+        )  # fmt: skip
+        there = solve(problem, near.shared, near.nodes[:, :1], whole, weight)
+        stages.append(
+            f"{joined.size} windows of {count} intervals, start {number + 1}: {int(near.iterations)} iterations"
+        )
         cost = float(there.cost)
         if best is not None:
             agreed = abs(cost - float(best.cost)) <= 1e-3 * min(cost, float(best.cost))
@@ -122,42 +169,10 @@ def _best_of(problem: Problem, starts: list[np.ndarray], pieces: Pieces, local, 
         if agreed:
             break
     assert best is not None
-    return best
+    return best, stages
 
 
-def _through_windows(problem: Problem, starts, scales, max_iterations: int, stages: list[str]):
-    """Starts that follow whole flights, and the angular velocity at each window's start."""
-    longest = longest_turn(problem.recording, problem.flights)
-    per_sample = max(turn_per_sample(problem.recording, problem.flights), 1e-12)
-    count = max(_SHORTEST_WINDOW, int(np.ceil(_WINDOW_TURN / per_sample)))
-    known: dict[int, np.ndarray] = {}
-    while count * per_sample * 1.5 < longest and count * 1.5 < max(map(len, problem.flights.flights)):
-        pieces = windows(problem.flights, count)
-        problem.progress(f"{len(pieces)} windows of {count} samples")
-        local = problem.first_local(pieces, known)
-        solution = _best_of(problem, starts, pieces, local, scales, max_iterations)
-        stages.append(_account(f"windows of {count} intervals", len(pieces), solution))
-        shared, local = np.asarray(solution.shared), np.asarray(solution.local)
-        starts, known = [shared], {piece.start: spin[:3] for piece, spin in zip(pieces, local)}
-        if _phase_error(problem, solution, pieces, scales, count) < 0.3:
-            break
-        count *= _WINDOW_GROWTH
-    return starts, known
-
-
-def _phase_error(problem: Problem, solution: Solution, pieces: Pieces, scales, count: int) -> float:
-    """Error [rad] to be expected at the end of the longest flight; at a radian or so the track is lost."""
-    longest = longest_turn(problem.recording, problem.flights)
-    duration = max(np.ptp(problem.recording.time[f.start : f.stop]) for f in problem.flights.flights)
-    channels = problem.residual.use_spin + problem.residual.use_attitude
-    values = 3.0 * channels * sum(map(len, pieces))
-    misfit = np.sqrt(2.0 * float(solution.cost) / values)
-    found = directions(information(solution.normal, np.ones(len(pieces))), np.asarray(solution.shared))
-    start = scales[0] / np.sqrt(count) if problem.residual.use_spin else 0.0
-    return float(misfit * (found.deviation[0] * longest + start * duration))
-
-
-@eqx.filter_jit
+@jit
 def _squares(residual: TrajectoryResidual, shared, local, data):
     """Sums of squares (channels, S) in scales, and the largest integration error in scales.
 
@@ -166,17 +181,17 @@ def _squares(residual: TrajectoryResidual, shared, local, data):
     finer = dataclasses.replace(residual, substeps=2 * residual.substeps)
 
     def channels(which):
-        return jax.vmap(lambda phi, d: jnp.stack(which.channels(shared, phi, d)))(local, data)
+        return jax.vmap(jax.vmap(lambda phi, d: jnp.stack(which.channels(shared, phi, d))))(local, data)
 
     coarse = channels(residual)
     error = jnp.max(jnp.abs(coarse - channels(finer)))
-    return jnp.sum(coarse**2, axis=(2, 3)).T, error
+    return jnp.sum(coarse**2, axis=(1, 3, 4)).T, error
 
 
 def _reweigh(problem: Problem, data: FlightData, squares: np.ndarray, scales: np.ndarray):
     """Misfit of each flight, noise scales by maximum likelihood, and which flights to keep."""
     residual = problem.residual
-    samples = 3.0 * np.asarray(data.present).sum(axis=1)
+    samples = 3.0 * np.asarray(data.present).sum(axis=(1, 2))
     misfit = np.sqrt(np.mean(squares / samples, axis=0))
     keep = np.ones(len(misfit))
     if len(misfit) >= _ENOUGH_TO_JUDGE:
@@ -185,12 +200,11 @@ def _reweigh(problem: Problem, data: FlightData, squares: np.ndarray, scales: np
         usual = np.median(each, axis=1, keepdims=True)
         keep = (np.max(each / np.where(usual > 0, usual, 1.0), axis=0) <= _OUTLIER).astype(float)
     used = keep > 0
-    unknowns = used.sum() * residual.local_size + 5 + residual.drag
+    unknowns = used.sum() * residual.local_size + problem.free.sum()
     total = samples[used].sum() * len(squares)
     inflate = total / max(total - unknowns, 1.0)
     new = scales.copy()
-    places = [place for place, use in enumerate((residual.use_spin, residual.use_attitude)) if use]
-    for place, square in zip(places, squares):
+    for place, square in zip(residual.channels_used, squares):
         variance = square[used].sum() / samples[used].sum() * inflate
         size = max(float(np.sqrt(np.mean(problem.spin**2))), 1e-9) if place == 0 else 1.0
         new[place] = max(scales[place] * float(np.sqrt(variance)), 1e-10 * size)
@@ -215,15 +229,16 @@ def profile_rises(
             rises.append((0.0, np.inf))
             continue
         length = min(20.0 * deviation, 2.0 / max(float(np.abs(move).max()), 1e-300))
-        away = np.asarray(solution.shared).copy()
-        away[:5] += length * move
-        there = held(problem, fitted, away)
+        step = np.zeros(problem.residual.shared_size)
+        step[:RATIO_COORDINATES] = length * move
+        there = held(problem, fitted, np.asarray(problem.residual.move(solution.shared, jnp.asarray(step))))
         rises.append((float(there.cost) - float(solution.cost), 0.5 * (length / deviation) ** 2))
     return rises
 
 
 def held(problem: Problem, fitted: Fitted, shared: np.ndarray) -> Solution:
     """The fit with the inertia ratios held at `shared`, everything else free."""
-    free = np.zeros(len(shared))
-    free[RATIO_COORDINATES:] = 1.0
-    return solve(problem.residual, shared, fitted.solution.local, fitted.data, fitted.weight, 40, free)
+    free = problem.free.copy()
+    free[:RATIO_COORDINATES] = 0.0
+    problem = dataclasses.replace(problem, free=free)
+    return solve(problem, shared, fitted.solution.local, fitted.data, fitted.weight, 40)

@@ -5,13 +5,17 @@ tosses it came out four to five times too small. The robust one is the jackknife
 wrong within a toss, tosses are independent of one another. It is the one that is quoted.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import numpy as np
 
 from jaxrb.fit.least_squares import Normal
-from jaxrb.fit.parametrise import ratios_from_coordinates
+from jaxrb.fit.parametrise import moved_ratios, ratios_from_coordinates
+
+if TYPE_CHECKING:
+    from jaxrb.fit.least_squares import Solution
+    from jaxrb.fit.stages import Problem
 
 NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
 PLACES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -55,7 +59,11 @@ class Directions(NamedTuple):
 
 def information(normal: Normal, weight: np.ndarray) -> Information:
     """Information on the shared parameters after the flights' own unknowns are eliminated."""
-    shared, border, local, g_shared, g_local = (np.asarray(part, float) for part in normal[:5])
+    shared, g_shared = np.asarray(normal.shared, float), np.asarray(normal.shared_gradient, float)
+    # Whole flights: each a chain of one window.
+    border, local, g_local = (
+        np.asarray(p, float)[:, 0] for p in (normal.border, normal.local, normal.local_gradient)
+    )
     use = weight > 0
     local = np.where(use[:, None, None], local, np.eye(local.shape[-1]))
     solved = np.linalg.pinv(local, rcond=1e-14, hermitian=True) @ np.swapaxes(border, 1, 2)
@@ -63,6 +71,15 @@ def information(normal: Normal, weight: np.ndarray) -> Information:
     parts = 0.5 * (parts + np.swapaxes(parts, 1, 2))
     scores = weight[:, None] * (g_shared - np.einsum("sqp,sq->sp", solved, g_local))
     return Information(parts.sum(axis=0), parts, scores)
+
+
+def fitted_information(problem: "Problem", solution: "Solution", weight: np.ndarray) -> Information:
+    """Information on the shared parameters that were fitted; those held come out as perfectly known."""
+    info = information(solution.normal, weight)
+    free = np.asarray(problem.free)
+    mask = free[:, None] * free
+    prior = np.zeros_like(info.total) if problem.prior is None else np.asarray(problem.prior.precision)
+    return Information(info.total * mask + prior * mask, info.parts * mask, info.scores * free)
 
 
 def model_covariance(info: Information) -> np.ndarray:
@@ -90,8 +107,11 @@ def jackknife_covariance(info: Information, toss: np.ndarray, used: np.ndarray) 
 
 
 def ratio_jacobian(coordinates: np.ndarray) -> np.ndarray:
-    """Derivative (6, 5) of the ratios xx, yy, zz, xy, xz, yz with respect to the coordinates."""
-    jacobian = np.asarray(jax.jacfwd(ratios_from_coordinates)(np.asarray(coordinates[:5], float)))
+    """Derivative (6, 5) of the ratios xx, yy, zz, xy, xz, yz with respect to a step from the coordinates."""
+    here = np.asarray(coordinates[:5], float)
+    jacobian = np.asarray(
+        jax.jacfwd(lambda step: ratios_from_coordinates(moved_ratios(here, step)))(np.zeros(5))
+    )
     return np.stack([jacobian[i, j] for i, j in PLACES])
 
 
@@ -104,7 +124,7 @@ def directions(info: Information, coordinates: np.ndarray) -> Directions:
     to_basis = (_BASIS * _WEIGHTS) @ jacobian  # (5, 5)
     inverse = np.linalg.pinv(to_basis, rcond=1e-13)
     total = info.total
-    if len(total) > 5:  # other shared parameters are eliminated first
+    if len(total) > 5 and np.any(total[5:, 5:]):  # other shared parameters are eliminated first
         rest = total[5:, 5:]
         total = total[:5, :5] - total[:5, 5:] @ np.linalg.pinv(rest, hermitian=True) @ total[5:, :5]
     values, vectors = np.linalg.eigh(inverse.T @ total @ inverse)

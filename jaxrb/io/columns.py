@@ -8,9 +8,18 @@ import numpy as np
 
 from jaxrb.errors import InvalidInput, JaxrbWarning
 
-WIDTHS = {"angular_velocity": 3, "orientation": 4, "position": 3, "velocity": 3}
+WIDTHS = {
+    "angular_velocity": 3,
+    "orientation": 4,
+    "position": 3,
+    "velocity": 3,
+    "specific_force": 3,
+    "internal_momentum": 3,
+}
 ANGLE_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+FORCE_UNITS = {"m/s²": 1.0, "m/s^2": 1.0, "g": 9.80665}  # standard gravity, as instruments count it
+MOMENTUM_UNITS = {"kg m²/s": 1.0, "kg m^2/s": 1.0, "N m s": 1.0}
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 
 # Quaternions of a text file with six decimals are off by 1e-6; beyond that the repair is announced,

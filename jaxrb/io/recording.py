@@ -16,6 +16,7 @@ import numpy as np
 from jaxrb.errors import InvalidInput
 from jaxrb.io.columns import (
     ANGLE_UNITS,
+    FORCE_UNITS,
     LENGTH_UNITS,
     TIME_UNITS,
     WIDTHS,
@@ -42,8 +43,13 @@ class Recording:
         orientation: (N, 4) wxyz, scalar first, body to world. Stored normalised and without jumps of sign.
         position: (N, 3) [m, or `length_unit`] of the centre of mass, world frame, z up.
         velocity: (N, 3) [m/s, or `length_unit` per second], world frame.
+        specific_force: (N, 3) [m/s², or `specific_force_unit`] of an accelerometer, body frame: zero at the centre of
+            mass in free flight, +9.8 upwards at rest.
+        internal_momentum: (N, 3) [kg m²/s] angular momentum of a wheel inside, relative to the body, body frame. The
+            whole has I ω + this, with I the inertia of everything.
         length: (T,) number of samples in each toss.
         time_unit: "s", "ms" or "us". angular_velocity_unit: "rad/s" or "deg/s". length_unit: "m", "cm", "mm".
+        specific_force_unit: "m/s²" or "g" (9.80665 m/s²).
         metadata: anything that JSON can hold: body, instrument, truth.
         source: what error messages call this recording, such as the file's name.
 
@@ -58,6 +64,8 @@ class Recording:
     orientation: np.ndarray | None
     position: np.ndarray | None
     velocity: np.ndarray | None
+    specific_force: np.ndarray | None
+    internal_momentum: np.ndarray | None
     length: np.ndarray
     metadata: dict[str, Any] = field(default_factory=dict)
     source: str = "Recording"
@@ -69,12 +77,15 @@ class Recording:
         orientation: Columns | None = None,
         position: Columns | None = None,
         velocity: Columns | None = None,
+        specific_force: Columns | None = None,
+        internal_momentum: Columns | None = None,
         length: Columns | None = None,
         *,
         time_unit: str = "s",
         angular_velocity_unit: str = "rad/s",
         angular_velocity_frame: str = "body",
         length_unit: str = "m",
+        specific_force_unit: str = "m/s²",
         metadata: Mapping[str, Any] | None = None,
         source: str = "Recording",
     ):
@@ -83,6 +94,8 @@ class Recording:
             "orientation": orientation,
             "position": position,
             "velocity": velocity,
+            "specific_force": specific_force,
+            "internal_momentum": internal_momentum,
         }
         given = {name: value for name, value in given.items() if value is not None}
         if not given:
@@ -98,6 +111,8 @@ class Recording:
             "orientation": 1.0,
             "position": metre,
             "velocity": metre,
+            "specific_force": factor(FORCE_UNITS, specific_force_unit, "specific_force_unit", source),
+            "internal_momentum": 1.0,
         }
         arrays = {name: array * scales[name] for name, array in arrays.items()}
         if "orientation" in arrays:

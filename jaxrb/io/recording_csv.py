@@ -1,12 +1,15 @@
 """Recordings as CSV: one row a sample, units in the header, the frame of the angular velocity in a comment.
 
     # frame: body
-    toss, time [s], wx [rad/s], wy [rad/s], wz [rad/s], qw, qx, qy, qz, px [m], …, vx [m/s], …
+    toss, time [s], wx [rad/s], wy [rad/s], wz [rad/s], qw, qx, qy, qz, px [m], …, vx [m/s], …,
+    fx [m/s²], …, hx [kg m²/s], …
 
 `toss` may be left away when there is one, and so may any whole group of columns. Lines that start with
 `#` are comments; `# frame: body` or `# frame: world` says where wx, wy, wz are measured, and
 `# metadata: {…}` holds JSON.
-Units: s, ms, us; rad/s, deg/s; m, cm, mm and the same a second.
+fx, fy, fz are an accelerometer's specific force and hx, hy, hz a wheel's momentum relative to the body, both in the
+body frame.
+Units: s, ms, us; rad/s, deg/s; m, cm, mm and the same a second; m/s² (or m/s^2), g; kg m²/s (or kg m^2/s), N m s.
 """
 
 import csv
@@ -19,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from jaxrb.errors import InvalidInput, JaxrbWarning
-from jaxrb.io.columns import ANGLE_UNITS, LENGTH_UNITS, TIME_UNITS
+from jaxrb.io.columns import ANGLE_UNITS, FORCE_UNITS, LENGTH_UNITS, MOMENTUM_UNITS, TIME_UNITS
 from jaxrb.io.recording import Recording
 
 GROUPS = {
@@ -28,6 +31,8 @@ GROUPS = {
     "orientation": ("qw", "qx", "qy", "qz"),
     "position": ("px", "py", "pz"),
     "velocity": ("vx", "vy", "vz"),
+    "specific_force": ("fx", "fy", "fz"),
+    "internal_momentum": ("hx", "hy", "hz"),
 }
 UNITS = {
     "time": TIME_UNITS,
@@ -35,6 +40,8 @@ UNITS = {
     "orientation": {"1": 1.0, "": 1.0},
     "position": LENGTH_UNITS,
     "velocity": {f"{unit}/s": metres for unit, metres in LENGTH_UNITS.items()},
+    "specific_force": FORCE_UNITS,
+    "internal_momentum": MOMENTUM_UNITS,
 }
 _COLUMN = re.compile(r"\s*(\w+)\s*(?:\[(.*)\])?\s*")
 
@@ -79,6 +86,7 @@ def csv_text(recording: Recording, metadata: str) -> str:
     """The text of a CSV file that `read_csv` reads back without loss."""
     columns = recording.columns()
     defaults = {"time": "s", "angular_velocity": "rad/s", "position": "m", "velocity": "m/s"}
+    defaults |= {"specific_force": "m/s²", "internal_momentum": "kg m²/s"}
     header = ["toss"]
     for name in columns:
         unit = f" [{defaults[name]}]" if name in defaults else ""

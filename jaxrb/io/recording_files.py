@@ -7,6 +7,8 @@ Our NPZ layout, schema 1, SI units and jaxrb's frames throughout:
     angular_velocity    (N, 3) [rad/s], body frame        } any of these four,
     orientation         (N, 4) wxyz, body to world        } at least one
     position, velocity  (N, 3) [m], [m/s], world frame    }
+    specific_force      (N, 3) [m/s²], body frame, of an accelerometer
+    internal_momentum   (N, 3) [kg m²/s], body frame, of a wheel, relative to the body
     length              (T,) whole numbers: samples of each toss
     metadata            (), text: a JSON object
 
