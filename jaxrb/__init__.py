@@ -132,6 +132,7 @@ if TYPE_CHECKING:
     from jaxrb.accuracy.cost import CostReport, cost
     from jaxrb.accuracy.gradient_check import gradient_check
     from jaxrb.accuracy.gradient_check_report import GradientCheck
+    from jaxrb.accuracy.memory import MemoryEstimate, memory
     from jaxrb.accuracy.planner import Plan, plan
     from jaxrb.accuracy.recommend import Recommendation, recommend
     from jaxrb.accuracy.smoothed_gradient import smoothed_gradient
@@ -156,6 +157,8 @@ _LATER = {
     "cost": "jaxrb.accuracy.cost",
     "GradientCheck": "jaxrb.accuracy.gradient_check_report",
     "gradient_check": "jaxrb.accuracy.gradient_check",
+    "MemoryEstimate": "jaxrb.accuracy.memory",
+    "memory": "jaxrb.accuracy.memory",
     "Recommendation": "jaxrb.accuracy.recommend",
     "recommend": "jaxrb.accuracy.recommend",
     "SmoothedGradient": "jaxrb.accuracy.smoothed_gradient_report",

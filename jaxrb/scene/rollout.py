@@ -37,9 +37,10 @@ from jaxrb.scene.status import Status, sound, status_after, with_contact
 
 # A reverse pass forms all again but the contact solves: those it keeps.
 _KEPT = jax.checkpoint_policies.save_only_these_names(SOLVED)
-# Nothing is formed again of so many steps in a row, nor of runs of so many steps times bodies: all is kept, 2 kB a
-# step of a box on a floor, whose gradient then compiles in 10 s and not 14: the step stands there once less.
-_LONGEST, _BRIEF = 64, 1024
+# Nothing is formed again of so many steps in a row; nor, with contact, in runs of so many steps times bodies: all is
+# kept, 3 to 5 kB a step of a box on a floor. Its gradient then compiles in 10 s and not 14: the step stands there once
+# less.
+_LONGEST, _BRIEF = 64, 256
 
 
 def rollout(
@@ -138,7 +139,7 @@ def _run_steps(
         return carry, (carry[0], contact_report(carry[1]))
 
     saves = steps // save_every
-    brief = steps * len(state.position) <= _BRIEF
+    brief = dynamics.contact is not None and steps * len(state.position) <= _BRIEF
     bad = sound(state, method.renormalise)
     carry = (state, method.first_carry(dynamics, state), jnp.zeros_like(bad), jnp.zeros((), jnp.int32))
     regular, rest = None, None

@@ -1,0 +1,38 @@
+"""What a run is said to need of memory, before it runs."""
+
+import jax.numpy as jnp
+import pytest
+
+import jaxrb as rb
+from jaxrb.errors import InvalidInput, WrongStructure
+
+SCENE = rb.Scene(rb.Body(1.0, (1.0, 2.0, 2.5)), rb.UniformGravity())
+RUN = {"dt": 1e-3, "steps": 1000, "save_every": 10}
+
+
+def test_saved_states_are_counted(dtype):
+    found = rb.memory(SCENE, SCENE.state(), **RUN)
+    a_state = 14 * jnp.dtype(dtype).itemsize  # position, quaternion, two velocities, time
+    assert 102 * a_state <= found.results <= 102 * a_state + 512  # the start, a hundred more, the end
+    assert found.working < found.results
+    assert found.total == found.given + found.results + found.working
+    assert "at the peak" in found.summary()
+
+
+def test_worlds_multiply_it():
+    one, many = (rb.memory(SCENE, SCENE.state(), worlds=n, **RUN) for n in (1, 50))
+    assert many.results == pytest.approx(50 * one.results, rel=0.02)  # but for the list of results itself
+
+
+def test_a_gradient_keeps_what_it_needs_on_the_way():
+    fewer, more = (
+        rb.memory(SCENE, SCENE.state(), dt=1e-3, steps=n, save_every=n, gradient=True) for n in (400, 6400)
+    )
+    assert fewer.results < 1000  # a number for each of scene and state
+    # Kept are the ends of blocks of about √n steps, and one block.
+    assert 2 < more.working / fewer.working < 8
+
+
+def test_bad_numbers_are_refused():
+    with pytest.raises((InvalidInput, WrongStructure), match="worlds"):
+        rb.memory(SCENE, SCENE.state(), worlds=0, **RUN)
