@@ -61,8 +61,8 @@ def bench(
             Adams beside its peers; one body beside MuJoCo, diffrax and SciPy at equal error; whether a scene
             pays only for its effects; bounding volumes, the hierarchy of boxes and the broad phase; distances and
             depths of pairs of shapes; boxes falling on a floor and on each other, beside MuJoCo; inertia from
-            a gyroscope beside the Cramér–Rao bound and MuJoCo; joints against closed forms and published mechanisms; what
-            `rb.memory` says beside what runs take.
+            a gyroscope beside the Cramér–Rao bound and MuJoCo; joints against closed forms and published mechanisms;
+            what `rb.memory` says beside what runs take.
         planner: instead, the time of the planner's picks over the best that a fine search finds, on a grid of scenes
             and tolerances (some minutes).
         json: print one JSON object instead of a table.

@@ -79,7 +79,7 @@ def test_wrong_command_line_exits_with_two():
     assert jaxrb("fit").returncode == 2
 
 
-@pytest.mark.parametrize("command", ["demo", "simulate", "fit", "bench"])
+@pytest.mark.parametrize("command", ["demo", "simulate", "fit", "bench", "view", "work-precision"])
 def test_help_has_an_example(command):
     done = jaxrb(command, "--help")
     assert done.returncode == 0

@@ -18,7 +18,7 @@ from jaxrb.scene.joints import check_jointed
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene, check_fit, refuse_contact
 from jaxrb.scene.settings import ON_ERROR, applied_torque, check_choice, check_count, check_tolerance
-from jaxrb.scene.solve import _times as run_times
+from jaxrb.scene.solve import run_times
 from jaxrb.scene.status import NOT_A_ROTATION, NOT_FINITE, OK, STOPPED_EARLY, Status
 
 _ORDERS = (

@@ -29,7 +29,7 @@ from jaxrb.scene.events_loop import (
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene, check_fit
 from jaxrb.scene.settings import ON_ERROR, check_choice, check_count, check_positive
-from jaxrb.scene.solve import _times as run_times
+from jaxrb.scene.solve import run_times
 from jaxrb.scene.status import NOT_FINITE, OK, Status, sound
 
 _REASONS = {

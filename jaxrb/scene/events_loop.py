@@ -1,10 +1,10 @@
 """The program of a run with impacts as events: flights to the next impact, save or end, one after the other.
 
 Every turn of the loop flies to what comes first and, if that is an impact, makes it. The loop has a fixed number of
-turns,
-so it can be differentiated in both modes. The time of an impact is a number found by a search without derivatives; one
-step of Newton's method from it, t* − g(t*)/ġ(t*), has its value and its derivative (the implicit function theorem), and
-the flight to t*, the impact and the flight after it carry that on: the saltation matrix, without being written down.
+turns, so it can be differentiated in both modes. The time of an impact is a number found by a search without
+derivatives; one step of Newton's method from it, t* − g(t*)/ġ(t*), has its value and its derivative (the implicit
+function theorem), and the flight to t*, the impact and the flight after it carry that on: the saltation matrix, without
+being written down.
 """
 
 from typing import Any
@@ -45,9 +45,8 @@ class Events(eqx.Module):
     """The impacts of a run, in order; rows beyond `count` are empty (time infinite, pair −2).
 
     `time` (m,) [s]; of the strongest point of each: `pair` (m, 2) the numbers of the body that was pushed and of the
-    other
-    (−1: what stands still), `point` (m, 3) [m] and `impulse` (m, 3) [N s] on the first, in W; `points` (m,): how many
-    met at once.
+    other (−1: what stands still), `point` (m, 3) [m] and `impulse` (m, 3) [N s] on the first, in W; `points` (m,): how
+    many met at once.
     """
 
     time: Scalar

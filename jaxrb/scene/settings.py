@@ -19,13 +19,23 @@ ON_ERROR = ("raise", "flag")
 DEFAULT_MAX_BYTES = 8 * 2**30
 
 
-def check_positive(name: str, value: Any, unit: str = "s") -> None:
-    """Refuse what is not a positive finite number."""
-    if np.ndim(value) != 0:
-        raise WrongStructure(f"{name}: shape {np.shape(value)}; give one number")
+def check_numbers(name: str, value: Any) -> None:
+    """Refuse what does not consist of real numbers."""
     kind = value.dtype if hasattr(value, "dtype") else np.asarray(value).dtype
     if isinstance(value, bool) or kind.kind not in "fiuV":  # V: NumPy's letter of bfloat16
         raise WrongStructure(f"{name}: {value!r} is not a number")
+
+
+def check_number(name: str, value: Any) -> None:
+    """Refuse what is not one real number."""
+    if np.ndim(value) != 0:
+        raise WrongStructure(f"{name}: shape {np.shape(value)}; give one number")
+    check_numbers(name, value)
+
+
+def check_positive(name: str, value: Any, unit: str = "s") -> None:
+    """Refuse what is not a positive finite number."""
+    check_number(name, value)
     if is_concrete(value) and not (np.isfinite(value) and value > 0):
         raise InvalidInput(f"{name} is {value!r} {unit}, but must be positive and finite")
 

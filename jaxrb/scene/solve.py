@@ -13,7 +13,15 @@ from jaxrb.integrators.method import Rates, rates
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene, check_fit, refuse_contact
-from jaxrb.scene.settings import ON_ERROR, applied_torque, check_choice, check_count, check_tolerance
+from jaxrb.scene.settings import (
+    ON_ERROR,
+    applied_torque,
+    check_choice,
+    check_count,
+    check_number,
+    check_numbers,
+    check_tolerance,
+)
 from jaxrb.scene.status import NOT_FINITE, OK, STOPPED_EARLY, Status, sound
 
 # [1/s] How fast the solver's numbers go back to the joints, on which the equations are evaluated in any case. Without
@@ -63,7 +71,7 @@ def solve(
             f"solver: {solver!r} is no solver of diffrax; use e.g. diffrax.Dopri8(), or rb.rollout"
         )
     adjoint = diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint
-    times = _times(state, t1, times)
+    times = run_times(state, t1, times)
     states, reason = _integrate(
         scene, state, applied_torque(torque, state), jnp.asarray(t1, state.dtype), times, (rtol, atol), solver,
         adjoint, max_steps=max_steps,
@@ -80,13 +88,16 @@ def solve(
     return path
 
 
-def _times(state: State, t1: Any, times: Any) -> Array | None:
+def run_times(state: State, t1: Any, times: Any) -> Array | None:
+    """The times at which to save, of the state's type; refuses an end or times that no run can have."""
+    check_number("t1", t1)
     if is_concrete(t1) and is_concrete(state.time) and not (np.isfinite(t1) and t1 > float(state.time)):
         raise InvalidInput(
             f"t1 is {t1!r} s, but must be finite and later than the state's {float(state.time)} s"
         )
     if times is None:
         return None
+    check_numbers("times", times)
     if is_concrete(times) and is_concrete(t1) and is_concrete(state.time):
         host = np.asarray(times, float)
         inside = np.isfinite(host) & (host >= float(state.time)) & (host <= float(t1))

@@ -84,3 +84,6 @@ def test_wrong_settings_are_refused(scene, start):
     for t1 in (0.0, -1.0, float("nan")):
         with pytest.raises(rb.InvalidInput, match="t1"):
             rb.solve(scene, start, t1=t1)
+    for wrong in ({"t1": "soon"}, {"t1": (1.0, 2.0)}, {"t1": 1.0, "times": "often"}):
+        with pytest.raises(rb.WrongStructure, match=list(wrong)[-1]):
+            rb.solve(scene, start, **wrong)
