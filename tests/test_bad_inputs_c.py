@@ -201,11 +201,6 @@ def test_more_than_memory_is_refused_with_the_estimate(scene, state):
             call(scene, state, dt=1e-3, steps=10**7, max_bytes=2**27)
 
 
-def test_batch_that_does_not_divide_by_the_devices():
-    """[49]"""
-    pytest.skip("jaxrb places nothing on devices itself: worlds are split by jax.vmap and sharding of JAX")
-
-
 def test_step_lost_beside_the_time_is_warned_of(scene):
     late = scene.state(time=1e9, dtype=np.float32)
     with pytest.warns(JaxrbWarning, match=r"dt = 0\.001 s is lost beside the time 1e\+09 s in float32"):

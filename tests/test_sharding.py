@@ -66,6 +66,7 @@ def ended(process):
 
 
 def test_eight_devices_give_the_bits_of_one_and_say_what_they_add():
+    """Bad input [49]: a batch that does not divide by the devices."""
     out = ended(start(_DEVICES, flags="--xla_force_host_platform_device_count=8"))
     assert out.startswith("8 True")
     # Ten worlds of one structure and nine of the other.
