@@ -151,7 +151,9 @@ def test_every_error_is_one_of_ours_and_of_python():
 def test_solver_of_smooth_equations_refuses_contact():
     """[45]"""
     scene = rb.Scene(rb.Body.from_shape(rb.Sphere(0.1), 500.0), rb.RigidContact(rb.HalfSpace()))
-    with pytest.raises(WrongStructure, match=r"RigidContact acts by impulses.*use rb\.solve_contact, or rb\.rollout"):
+    with pytest.raises(
+        WrongStructure, match=r"RigidContact acts by impulses.*use rb\.solve_contact, or rb\.rollout"
+    ):
         rb.solve(scene, scene.state(), t1=1.0)
 
 
