@@ -13,8 +13,6 @@ from jaxrb.fit.least_squares import (
     CONVERGED,
     NOT_FINITE,
     OUT_OF_ITERATIONS,
-    Alone,
-    Prior,
     levenberg_marquardt,
 )
 from jaxrb.fit.parametrise import (
@@ -27,6 +25,7 @@ from jaxrb.fit.parametrise import (
     moved_ratios,
     ratios_from_coordinates,
 )
+from jaxrb.fit.problem import Alone, Prior
 from jaxrb.io import Recording
 
 

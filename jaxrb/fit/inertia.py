@@ -11,9 +11,9 @@ import numpy as np
 
 from jaxrb.errors import InvalidInput, JaxrbWarning, NotIdentifiable, RunFailed
 from jaxrb.fit.free_fall import FreeFall, fit_free_fall
-from jaxrb.fit.least_squares import Prior
 from jaxrb.fit.packing import spin_noise
 from jaxrb.fit.parametrise import coordinates_from_ratios, ratios_from_coordinates
+from jaxrb.fit.problem import Prior
 from jaxrb.fit.refusal import RatiosNotIdentifiable, check_names, check_required, open_directions, refusal
 from jaxrb.fit.report import InertiaFit, Nuisance, inertia_fit
 from jaxrb.fit.residuals import RATIO_COORDINATES, UNKNOWNS, TrajectoryResidual

@@ -12,7 +12,8 @@ import numpy as np
 from jaxrb.accuracy.rollout import rollout
 from jaxrb.body.state import State
 from jaxrb.errors import InvalidInput, NotIdentifiable
-from jaxrb.fit.least_squares import MEANING, Alone, Solution, levenberg_marquardt
+from jaxrb.fit.least_squares import MEANING, levenberg_marquardt
+from jaxrb.fit.problem import Alone, Solution
 from jaxrb.integrators.method import Method
 from jaxrb.io.recording import Recording
 from jaxrb.math.quaternion import Quaternion

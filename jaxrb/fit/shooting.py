@@ -15,7 +15,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxrb.compilation import jit
-from jaxrb.fit.least_squares import Prior, Shooting, Solution, levenberg_marquardt
+from jaxrb.fit.least_squares import levenberg_marquardt
+from jaxrb.fit.problem import Prior, Shooting, Solution
 from jaxrb.math.arrays import Array, Scalar
 
 # Weights of the squared gaps, in the inverse variance of one sample: from windows that hardly know of each other to

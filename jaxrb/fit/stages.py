@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.compilation import jit
-from jaxrb.fit.least_squares import MEANING, Prior, Solution, levenberg_marquardt
+from jaxrb.fit.least_squares import MEANING, levenberg_marquardt
 from jaxrb.fit.packing import pack, rounded, spin_noise, turn_per_sample
+from jaxrb.fit.problem import Prior, Solution
 from jaxrb.fit.residuals import RATIO_COORDINATES, FlightData, TrajectoryResidual
 from jaxrb.fit.segments import Flights
 from jaxrb.fit.shooting import schedule, tighten

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import jax
 import numpy as np
 
-from jaxrb.fit.least_squares import Normal
 from jaxrb.fit.parametrise import moved_ratios, ratios_from_coordinates
+from jaxrb.fit.problem import Normal
 
 if TYPE_CHECKING:
-    from jaxrb.fit.least_squares import Solution
+    from jaxrb.fit.problem import Solution
     from jaxrb.fit.stages import Problem
 
 NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")

@@ -50,16 +50,8 @@ class Weld(Joint):
         return norm(_apart(self, a, b)), _turned_by(self, a, b)
 
 
-class Hinge(Joint):
-    """Lets a turn against b about one axis only: a door, an elbow, a wheel on its axle.
-
-    `anchor_a`, `anchor_b` (3,) [m]: the point that both share, in the frame of each. `axis` (3,): of any length, in the
-    frame of a. `rest`: the attitude of a as seen from b (or in the world) at angle zero, by default parallel frames; so
-    the axis in b is `rest` applied to `axis`. The coordinate is the angle [rad] of a against b about the axis, from −π
-    to π: turns are not counted. `drives`: what acts along it, such as `JointSpring`.
-    """
-
-    free: ClassVar[str | None] = "rad"
+class _AxialJoint(Joint):
+    """What joints with one free coordinate, about or along `axis`, have in common."""
 
     axis: Vector = quantity((3,), default=(0.0, 0.0, 1.0))
     anchor_a: Vector = quantity((3,), unit="m", default=_ORIGIN)
@@ -70,7 +62,19 @@ class Hinge(Joint):
     def __post_init__(self):
         self.drives = _tuple(self.drives)
         super().__post_init__()
-        check_direction("Hinge.axis", self.axis)
+        check_direction(f"{type(self).__name__}.axis", self.axis)
+
+
+class Hinge(_AxialJoint):
+    """Lets a turn against b about one axis only: a door, an elbow, a wheel on its axle.
+
+    `anchor_a`, `anchor_b` (3,) [m]: the point that both share, in the frame of each. `axis` (3,): of any length, in the
+    frame of a. `rest`: the attitude of a as seen from b (or in the world) at angle zero, by default parallel frames; so
+    the axis in b is `rest` applied to `axis`. The coordinate is the angle [rad] of a against b about the axis, from −π
+    to π: turns are not counted. `drives`: what acts along it, such as `JointSpring`.
+    """
+
+    free: ClassVar[str | None] = "rad"
 
     def parts(self, world: int) -> list[tuple[Any, np.ndarray]]:
         axis, first, second = basis_about(self.spread(self.axis))
@@ -100,7 +104,7 @@ class Hinge(Joint):
         return Rows(angle, jnp.zeros_like(angular), angular, jnp.zeros_like(angle))
 
 
-class Slider(Joint):
+class Slider(_AxialJoint):
     """Lets a move along one axis of b, without turning: a piston, a drawer.
 
     `axis` (3,): of any length, in the frame of a. `anchor_a`, `anchor_b` (3,) [m]: points on the guide, in the frame of
@@ -109,17 +113,6 @@ class Slider(Joint):
     """
 
     free: ClassVar[str | None] = "m"
-
-    axis: Vector = quantity((3,), default=(0.0, 0.0, 1.0))
-    anchor_a: Vector = quantity((3,), unit="m", default=_ORIGIN)
-    anchor_b: Vector = quantity((3,), unit="m", default=_ORIGIN)
-    rest: Rotation | None = None
-    drives: tuple[Drive, ...] = eqx.field(default=(), kw_only=True)  # pyright: ignore
-
-    def __post_init__(self):
-        self.drives = _tuple(self.drives)
-        super().__post_init__()
-        check_direction("Slider.axis", self.axis)
 
     def parts(self, world: int) -> list[tuple[Any, np.ndarray]]:
         _, first, second = self._fixed_in_b()

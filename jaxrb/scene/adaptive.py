@@ -17,14 +17,21 @@ from jaxrb.integrators.method import Method
 from jaxrb.integrators.names import method_of
 from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.math.arrays import Array, Scalar
-from jaxrb.math.euler_angles import EulerAngles
-from jaxrb.scene.adaptive_loop import Settings, StepCounts, run_adaptive
+from jaxrb.scene.adaptive_loop import run_adaptive
+from jaxrb.scene.adaptive_records import Settings, StepCounts
 from jaxrb.scene.certificate import Certificate, certificate_between
 from jaxrb.scene.events_corners import corners_of
 from jaxrb.scene.joints import check_jointed
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene, check_fit
-from jaxrb.scene.settings import ON_ERROR, check_choice, check_count, check_positive, check_tolerance
+from jaxrb.scene.settings import (
+    ON_ERROR,
+    check_choice,
+    check_count,
+    check_positive,
+    check_struck,
+    check_tolerance,
+)
 from jaxrb.scene.solve import run_times
 from jaxrb.scene.status import NOT_FINITE, OK, Status, sound
 
@@ -198,15 +205,7 @@ def _check_scene(scene: Scene, state: State, method: Method) -> None:
             "solve_contact: the scene has no RigidContact, so nothing can touch; use rb.solve, or rb.rollout with "
             "tolerance="
         )
-    if isinstance(state.orientation, EulerAngles):
-        raise WrongStructure(
-            "solve_contact: Euler angles cannot be turned by impulses; make the state with rotation=Quaternion"
-        )
-    if method.first_remainder(state) is not None:
-        raise WrongStructure(
-            f"solve_contact: {type(method).__name__}(compensated=True) carries a remainder that impacts would make "
-            "wrong; use compensated=False"
-        )
+    check_struck("solve_contact", state, method)
     check_jointed(scene, "solve_contact", "use rb.rollout")
     if restricted(freedoms_of(scene.bodies)) is not None:
         raise WrongStructure(

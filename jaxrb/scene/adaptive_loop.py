@@ -18,13 +18,14 @@ from jax import lax
 from jaxrb.body.state import State, finite_per_body
 from jaxrb.effects.dynamics import Dynamics
 from jaxrb.geometry.primitives import HalfSpace
-from jaxrb.integrators.method import Method
 from jaxrb.math.arrays import Array, Scalar
 from jaxrb.math.safe import norm
 from jaxrb.scene.adaptive_points import Levels, Points, points_of, reach_of, struck
+from jaxrb.scene.adaptive_records import Settings, StepCounts, Turn
 from jaxrb.scene.adaptive_step import difference, tried
 from jaxrb.scene.events_corners import Corners, corners_of
 from jaxrb.scene.events_flight import ExactFlight, flight_of
+from jaxrb.scene.events_loop import filled_from
 from jaxrb.scene.events_search import first_impact
 from jaxrb.scene.status import NOT_FINITE, OK, STOPPED_EARLY, TOO_MANY_CONTACTS
 
@@ -33,45 +34,6 @@ _GROW, _SHRINK, _AIM = 5.0, 0.2, 0.8
 _TURN = 0.5  # [rad] a step of contact turns no body farther
 _FIRST = 1e-2  # [s] the first step that is tried
 _HALVINGS = 40  # of a flight by steps of a method, within one turn
-
-
-class Settings(eqx.Module):
-    """How to run: `tolerance` of a step, `longest` step [s]; `order` of a step of contact, most turns (`max_steps`)."""
-
-    method: Method
-    tolerance: Scalar
-    longest: Scalar
-    max_steps: Array
-    order: int = eqx.field(static=True)
-
-
-class StepCounts(eqx.Module):
-    """What a run took: steps `accepted` (flights among them) and `rejected`, `impacts`; `smallest` [s] accepted step;
-    `error` (n, 2): the sum of all steps' estimated errors, of positions [m] and of attitudes [rad]."""
-
-    accepted: Array
-    rejected: Array
-    impacts: Array
-    smallest: Scalar
-    error: Array
-
-
-class Turn(eqx.Module):
-    """What goes from turn to turn. `step`, `flight` [s]: the next lengths to try; `smooth` [s]: the step before trouble
-    began; `trouble` [s]: the time by which it was met, with the `excess` of the error of the step of that `length` [s].
-    """
-
-    state: State
-    mark: Array
-    step: Scalar
-    flight: Scalar
-    smooth: Scalar
-    trouble: Scalar
-    excess: Scalar
-    length: Scalar
-    counts: StepCounts
-    turns: Array
-    reason: Array
 
 
 def run_adaptive(
@@ -94,11 +56,7 @@ def run_adaptive(
         return new, saved
 
     turn, saved = lax.while_loop(going, one, (_first_turn(state, settings), saved))
-    # A run that ended early shows where: in all that it did not reach.
-    missed = jnp.arange(len(marks)) >= turn.mark
-    saved = jax.tree.map(
-        lambda rows, row: jnp.where(missed.reshape(-1, *(1,) * row.ndim), row, rows), saved, turn.state
-    )
+    saved = filled_from(turn.mark, saved, turn.state)
     short = (turn.reason == OK) & (turn.mark < len(marks))
     return saved, turn.counts, jnp.where(short, STOPPED_EARLY, turn.reason)
 

@@ -15,7 +15,6 @@ from jaxrb.integrators.method import Method
 from jaxrb.integrators.names import method_of
 from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.math.arrays import Array, Scalar
-from jaxrb.math.euler_angles import EulerAngles
 from jaxrb.scene.events_flight import is_exact
 from jaxrb.scene.events_loop import (
     CAME_TO_REST,
@@ -28,7 +27,7 @@ from jaxrb.scene.events_loop import (
 )
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene, check_fit
-from jaxrb.scene.settings import ON_ERROR, check_choice, check_count, check_positive
+from jaxrb.scene.settings import ON_ERROR, check_choice, check_count, check_positive, check_struck
 from jaxrb.scene.solve import run_times
 from jaxrb.scene.status import NOT_FINITE, OK, Status, sound
 
@@ -164,16 +163,7 @@ def _check_scene(scene: Scene, state: State, method: Method, dt: Any) -> None:
         raise WrongStructure(
             "solve_events: the scene has no RigidContact, so nothing can meet; add one, or use rb.rollout or rb.solve"
         )
-    if isinstance(state.orientation, EulerAngles):
-        raise WrongStructure(
-            "solve_events: Euler angles cannot be turned by impacts; make the state with rotation=Quaternion"
-        )
-    if method.first_remainder(state) is not None:
-        raise WrongStructure(
-            f"solve_events: {type(method).__name__}(compensated=True) carries a remainder that impacts "
-            f"would make wrong; "
-            "use compensated=False"
-        )
+    check_struck("solve_events", state, method)
     if dt is not None:
         check_positive("dt", dt)
     elif not is_exact(others):

@@ -108,13 +108,17 @@ def run_events(
         return (new, saved, events), None
 
     (turn, saved, events), _ = lax.scan(one, carry, None, length=settings.turns)
-    # A run that ended early shows where: in all that it did not reach.
-    missed = jnp.arange(len(marks)) >= turn.mark
-    saved = jax.tree.map(
-        lambda rows, row: jnp.where(missed.reshape(-1, *(1,) * row.ndim), row, rows), saved, turn.state
-    )
+    saved = filled_from(turn.mark, saved, turn.state)
     short = (turn.reason == OK) & (turn.mark < len(marks))
     return saved, events, jnp.where(short, OUT_OF_TURNS, turn.reason)
+
+
+def filled_from(mark: Array, saved: State, state: State) -> State:
+    """Saved states (k, ...) with `state` from row `mark` on: a run that ended early shows where in all it missed."""
+    missed = jnp.arange(len(saved.time)) >= mark
+    return jax.tree.map(
+        lambda rows, row: jnp.where(missed.reshape(-1, *(1,) * row.ndim), row, rows), saved, state
+    )
 
 
 def _no_events(most: int, dtype: Any) -> Events:

@@ -40,6 +40,19 @@ def check_positive(name: str, value: Any, unit: str = "s") -> None:
         raise InvalidInput(f"{name} is {value!r} {unit}, but must be positive and finite")
 
 
+def check_struck(where: str, state: State, method: Method) -> None:
+    """Refuse what impacts between steps cannot change: Euler angles, and remainders carried from step to step."""
+    if isinstance(state.orientation, EulerAngles):
+        raise WrongStructure(
+            f"{where}: Euler angles cannot be turned by impacts; make the state with rotation=Quaternion"
+        )
+    if method.first_remainder(state) is not None:
+        raise WrongStructure(
+            f"{where}: {type(method).__name__}(compensated=True) carries a remainder that impacts would make wrong; "
+            "use compensated=False"
+        )
+
+
 def check_steps(name: str, steps: int) -> None:
     """Refuse more steps than a run's counter holds."""
     if steps >= 2**31:
