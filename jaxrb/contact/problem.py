@@ -1,11 +1,14 @@
 """One contact problem: bodies as the step without contact leaves them, and the points where they touch."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 
 from jaxrb.contact.block import Contacts
 from jaxrb.contact.law import predicted, projected
 from jaxrb.math.arrays import Array, Scalar, Vector, components, stack
+from jaxrb.math.rotation import Rotation
 from jaxrb.math.vector import matvec
 
 
@@ -77,6 +80,14 @@ class Problem(eqx.Module):
         none = jnp.zeros_like(straight)
         rows = [jnp.concatenate(row, axis=2) for row in ((straight, none), (none, self.inertia))]
         return jnp.concatenate(rows, axis=1)
+
+
+def world_inertia(dynamics: Any, orientation: Rotation) -> tuple[Array, Array]:
+    """Inertias [kg m²] about the centres and their inverses (n, 3, 3), in W, of bodies turned by R_WB (n, …)."""
+    return (
+        dynamics.inertia.inertia.rotated(orientation).as_matrix(),
+        dynamics.inertia.inverted().rotated(orientation).as_matrix(),
+    )
 
 
 def _applied(scale: Scalar, tensor: Array, motion: Array) -> Array:

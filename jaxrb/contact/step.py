@@ -17,7 +17,7 @@ from jaxrb.contact.detection import Detected, detect
 from jaxrb.contact.impact import Course, closing, first_course, impact_scale
 from jaxrb.contact.implicit import solve
 from jaxrb.contact.memory import Memory, first_memory, remembered
-from jaxrb.contact.problem import Problem
+from jaxrb.contact.problem import Problem, world_inertia
 from jaxrb.contact.report import ContactReport, first_report, reported
 from jaxrb.contact.solver import Solution, default_tolerance
 from jaxrb.contact.surfaces import Meeting, Obstacle
@@ -82,8 +82,7 @@ class ContactStep(eqx.Module):
         """The problem at the start of the step, and the angular momentum (n, 3) in W that the free step ends with."""
         c = detected.contacts
         spin = free.orientation.rotate(dynamics.inertia.inertia.apply(free.angular_velocity))
-        inertia = dynamics.inertia.inertia.rotated(old.orientation).as_matrix()
-        inverse = dynamics.inertia.inverted().rotated(old.orientation).as_matrix()
+        inertia, inverse = world_inertia(dynamics, old.orientation)
         motion = jnp.concatenate([free.velocity, matvec(inverse, spin)], axis=1)
         problem = Problem(
             c,

@@ -13,7 +13,7 @@ from jaxrb.contact.detection import Detected, detect
 from jaxrb.contact.impact import impact_scale
 from jaxrb.contact.linear import conjugate_gradients
 from jaxrb.contact.memory import Memory, recalled, remembered
-from jaxrb.contact.problem import Problem
+from jaxrb.contact.problem import Problem, world_inertia
 from jaxrb.contact.solver import compliance, solve_contacts
 from jaxrb.effects.dynamics import Dynamics
 from jaxrb.math.arrays import Array, Scalar
@@ -91,8 +91,7 @@ def reach_of(contact: Any, state: State, span: Scalar) -> Scalar:
 
 def problem_of(dynamics: Dynamics, state: State, c: Contacts, bias: Scalar, motion: Array) -> Problem:
     """The contact problem at a state for bodies that move with `motion` (n, 6)."""
-    inertia = dynamics.inertia.inertia.rotated(state.orientation).as_matrix()
-    inverse = dynamics.inertia.inverted().rotated(state.orientation).as_matrix()
+    inertia, inverse = world_inertia(dynamics, state.orientation)
     share = 1e-12 if jnp.finfo(state.dtype).bits == 64 else 1e-6
     return Problem(
         c, bias, dynamics.bodies.mass, inertia, dynamics.inverse_mass, inverse, motion,

@@ -13,7 +13,7 @@ from jaxrb.body.state import State
 from jaxrb.contact.block import Contacts
 from jaxrb.contact.impact import impact_scale
 from jaxrb.contact.implicit import solve
-from jaxrb.contact.problem import Problem
+from jaxrb.contact.problem import Problem, world_inertia
 from jaxrb.contact.solver import solve_contacts
 from jaxrb.effects.dynamics import Dynamics
 from jaxrb.math.arrays import Array, Scalar, Vector
@@ -92,8 +92,7 @@ def struck(
 
 
 def _problem(dynamics: Dynamics, state: State, c: Contacts, motion: Array) -> Problem:
-    inertia = dynamics.inertia.inertia.rotated(state.orientation).as_matrix()
-    inverse = dynamics.inertia.inverted().rotated(state.orientation).as_matrix()
+    inertia, inverse = world_inertia(dynamics, state.orientation)
     tolerance = jnp.asarray(4 * float(jnp.finfo(state.dtype).eps), state.dtype)
     return Problem(
         c, c.distance, dynamics.bodies.mass, inertia, dynamics.inverse_mass, inverse, motion, tolerance
