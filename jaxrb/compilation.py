@@ -1,7 +1,9 @@
 """How programs are compiled: options that XLA takes a program at a time."""
 
+import contextlib
 import functools
-from collections.abc import Callable, Sequence
+import gc
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -48,9 +50,24 @@ def jit(function: Callable, static_argnames: Sequence[str] = ()) -> Callable:
     @functools.wraps(function)
     def called(*arguments: Any, **options: Any) -> Any:
         alone = all(is_concrete(leaf) for leaf in jax.tree.leaves((arguments, options)))
-        return (outer() if alone and not _tracing() else inner)(*arguments, **options)
+        with _collector_resting():
+            return (outer() if alone and not _tracing() else inner)(*arguments, **options)
 
     return called
+
+
+@contextlib.contextmanager
+def _collector_resting() -> Iterator[None]:
+    """No search for unreachable objects meanwhile: tracing makes a million that are all still in use, and the searches
+    take a sixth of its time (a box on a plane, cached: 0.69 s of CPU instead of 0.80)."""
+    if not gc.isenabled():
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
 
 
 def _tracing() -> bool:

@@ -19,6 +19,7 @@ from jaxrb.accuracy.cost import cost, count_equations, count_operations, names
 from jaxrb.accuracy.differences import difference
 from jaxrb.accuracy.recommend import recommend
 from jaxrb.accuracy.timing import interleaved
+from jaxrb.bench.absent import EFFECTS, same_program
 from jaxrb.bench.workloads import row
 from jaxrb.body.body import Body, replicate
 from jaxrb.body.state import State
@@ -26,6 +27,7 @@ from jaxrb.effects.drag import LinearDrag, QuadraticDrag
 from jaxrb.effects.gravity import UniformGravity
 from jaxrb.effects.thruster import PrescribedTorque
 from jaxrb.integrators.runge_kutta import RungeKutta4
+from jaxrb.scene.contact_library import CONTACT_SCENES
 from jaxrb.scene.library import SCENES as SMOOTH
 from jaxrb.scene.rollout import rollout
 from jaxrb.scene.scene import Scene
@@ -47,6 +49,10 @@ def rows() -> Iterator[dict[str, Any]]:
     )
     yield row("effects that they dropped, of each scene's three", dropped / SCENES, "a scene", None)
     yield from kinds()
+    names = list(SMOOTH | CONTACT_SCENES)
+    differing = [name for name in names if not same_program(name)]
+    what = f"of {len(names)} scenes, those whose program shows that {len(EFFECTS)} effects were taken from it again"
+    yield row(f"{what} {differing or ''}".rstrip(), len(differing), "scenes", 0)
     yield from sizes()
     yield from first_frames()
 
@@ -161,8 +167,9 @@ def planar_ratio() -> float:
         return u, v, w, x + 1e-3 * u, y + 1e-3 * v, angle + 1e-3 * w
 
     by_hand = jax.jit(lambda numbers: jax.lax.fori_loop(0, STEPS, step_by_hand, numbers))
-    engine = lambda: rollout(scene, state, dt=1e-3, steps=STEPS, save_every=STEPS).final  # noqa: E731
-    mine, theirs = interleaved([engine, lambda: by_hand(jax.tree.map(jnp.asarray, numbers))], rounds=31)
+    engine = jax.jit(lambda s: rollout(scene, s, dt=1e-3, steps=STEPS, save_every=STEPS).final)
+    numbers = jax.tree.map(jnp.asarray, numbers)
+    mine, theirs = interleaved([lambda: engine(state), lambda: by_hand(numbers)], rounds=31)
     return mine / theirs
 
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from jaxrb.checks import Checked, as_array, quantity
 from jaxrb.errors import WrongStructure
-from jaxrb.math.arrays import Array, Matrix, Scalar, Vector, components, from_entries, stack
+from jaxrb.math.arrays import Array, Matrix, Scalar, Vector, components, entries, from_entries, stack
 from jaxrb.math.rotation import Rotation
 from jaxrb.math.safe import unit_or
-from jaxrb.math.vector import dot, matmul
+from jaxrb.math.vector import dot, dot_of
 
 
 class Inertia(Checked):
@@ -67,8 +67,15 @@ class Inertia(Checked):
 
     def rotated(self, rotation: Rotation) -> "FullInertia":
         """The same inertia in axes from which `rotation` leads to the body frame: R I Rᵀ."""
-        r = rotation.as_matrix()
-        return FullInertia.from_matrix(matmul(matmul(r, self.as_matrix()), jnp.swapaxes(r, -1, -2)))
+        r = entries(rotation.as_matrix())
+        scaled = self._rows_times_tensor(r)
+        six = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+        return FullInertia.of_six(stack(*(dot_of(scaled[i], r[j]) for i, j in six)))
+
+    def _rows_times_tensor(self, rows: list[list[Array]]) -> list[list[Array]]:
+        """The entries of R I, of the entries of R."""
+        tensor = entries(self.as_matrix())
+        return [[dot_of(row, tensor[j]) for j in range(3)] for row in rows]
 
     def six(self) -> Array:
         """xx, yy, zz, xy, xz, yz (..., 6)."""
@@ -95,6 +102,9 @@ class SphericalInertia(Inertia):
     def as_matrix(self) -> Matrix:
         return jnp.asarray(self.moment)[..., None, None] * jnp.eye(3, dtype=jnp.asarray(self.moment).dtype)
 
+    def _rows_times_tensor(self, rows: list[list[Array]]) -> list[list[Array]]:
+        return [[r * self.moment for r in row] for row in rows]
+
     def trace(self) -> Scalar:
         return 3.0 * self.moment
 
@@ -118,6 +128,10 @@ class PrincipalInertia(Inertia):
     def as_matrix(self) -> Matrix:
         moments = jnp.asarray(self.moments)
         return moments[..., None] * jnp.eye(3, dtype=moments.dtype)
+
+    def _rows_times_tensor(self, rows: list[list[Array]]) -> list[list[Array]]:
+        moments = components(self.moments)
+        return [[r * moment for r, moment in zip(row, moments, strict=True)] for row in rows]
 
     def trace(self) -> Scalar:
         return jnp.sum(self.moments, axis=-1)

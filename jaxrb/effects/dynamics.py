@@ -27,7 +27,7 @@ from jaxrb.body.freedom import (
 )
 from jaxrb.body.mass_properties import MassProperties
 from jaxrb.body.state import State
-from jaxrb.body.unturned import eased, plain
+from jaxrb.body.unturned import Unturned, eased, plain
 from jaxrb.effects.effect import Effect, Wrench
 from jaxrb.effects.fixed_point import FixedPoint
 from jaxrb.effects.prescribed_motion import PrescribedMotion
@@ -98,7 +98,7 @@ class Dynamics(eqx.Module):
     def eased(self, state: State, *, one_angle: bool) -> State:
         """The state as a method is to advance it: an orientation that cannot change is one that no method updates, and
         one that changes by an angle is that angle, where the method and the representation can do with `one_angle`."""
-        if self.freedoms is None or turns_freely(self.freedoms):
+        if self.freedoms is None or turns_freely(self.freedoms) or isinstance(state.orientation, Unturned):
             return state
         axis = axis_of(self.freedoms)
         if axis is not None and not (
@@ -107,12 +107,21 @@ class Dynamics(eqx.Module):
             return state
         return eqx.tree_at(lambda s: s.orientation, state, eased(state.orientation, axis))
 
+    @property
+    def nothing_between(self) -> bool:
+        """Whether the method alone changes the state from step to step: a run may then carry it as `eased`."""
+        return self.contact is None and self.joints is None and not self.fixed_points and not self.driven
+
     def restored(self, old: State, new: State, *, renormalise: bool) -> State:
-        """The advanced state as everything but a method knows it; what cannot move is where it was."""
+        """The advanced state as it was given before the step, `eased` or not; what cannot move is where it was."""
         if self.freedoms is None:
             return new
         position = new.position if moves(self.freedoms) else old.position
-        orientation = plain(new.orientation, renormalise=renormalise)
+        orientation: Any = new.orientation
+        if isinstance(old.orientation, Unturned):
+            orientation = orientation.carried()
+        else:
+            orientation = plain(orientation, renormalise=renormalise)
         return State(position, orientation, new.velocity, new.angular_velocity, new.time)
 
     def seen(self, state: State) -> State:

@@ -9,8 +9,10 @@ import jax
 from jaxrb.body.state import State
 from jaxrb.effects.dynamics import Dynamics
 from jaxrb.integrators.compensation import compensated_sum, no_remainder
-from jaxrb.integrators.method import Method, Rates, advanced, average, moved, rates
+from jaxrb.integrators.method import Method, Rates, advanced, average, moved, moved_by_mean, rates
 from jaxrb.math.arrays import Scalar, Vector, by_components
+
+_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
 
 class RungeKutta4(Method):
@@ -30,7 +32,18 @@ class RungeKutta4(Method):
     compensated: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def advance(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None) -> State:
-        return moved(state, dt, self._mean_rates(dynamics, state, dt, torque), dt)
+        stages = self._stages(dynamics, state, dt, torque)
+        new = moved_by_mean(state, dt, _WEIGHTS, stages)
+        if stages[0].velocity is None:
+            return new
+        sixth = dt / 6.0
+        position = by_components(
+            lambda x, v, pushed: x + dt * (v + sixth * pushed),
+            state.position,
+            state.velocity,
+            _pushed(stages),
+        )
+        return State(position, new.orientation, new.velocity, new.angular_velocity, new.time)
 
     def first_remainder(self, state: State) -> Rates | None:
         return no_remainder(state) if self.compensated else None
@@ -49,6 +62,14 @@ class RungeKutta4(Method):
             return compensated_sum(state, remainder, change, dt)
 
     def _mean_rates(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None) -> Rates:
+        stages = self._stages(dynamics, state, dt, torque)
+        mean = average(_WEIGHTS, stages)
+        if stages[0].velocity is None:
+            return mean
+        position = advanced(state.velocity, dt / 6.0, _pushed(stages))
+        return Rates(position, mean.orientation, mean.velocity, mean.angular_velocity)
+
+    def _stages(self, dynamics: Dynamics, state: State, dt: Scalar, torque: Vector | None) -> list[Rates]:
         half = 0.5 * dt
         k1 = rates(state, dynamics.acceleration(state, torque))
         second = moved(state, half, k1, half)
@@ -56,12 +77,10 @@ class RungeKutta4(Method):
         third = moved(state, half, k2, half)
         k3 = rates(third, dynamics.acceleration(third, torque))
         last = moved(state, dt, k3, dt)
-        k4 = rates(last, dynamics.acceleration(last, torque))
-        mean = average((1 / 6, 1 / 3, 1 / 3, 1 / 6), [k1, k2, k3, k4])
-        if k1.velocity is None:
-            return mean
-        # The mean of the four velocities, as v + dt (a₁ + a₂ + a₃)/6 (Nyström 1925): where no force depends on the
-        # velocity, those of the stages need not be formed: a sphere under gravity takes 16 ns a step instead of 20.
-        pushed = by_components(lambda a, b, c: a + b + c, k1.velocity, k2.velocity, k3.velocity)
-        position = advanced(state.velocity, dt / 6.0, pushed)
-        return Rates(position, mean.orientation, mean.velocity, mean.angular_velocity)
+        return [k1, k2, k3, rates(last, dynamics.acceleration(last, torque))]
+
+
+def _pushed(stages: list[Rates]) -> Vector:
+    """a₁ + a₂ + a₃. The mean of the four velocities is v + dt/6 of it (Nyström 1925): where no force depends on the
+    velocity, those of the stages need not be formed: a sphere under gravity takes a fifth less time."""
+    return by_components(lambda a, b, c: a + b + c, *(stage.velocity for stage in stages[:3]))

@@ -9,12 +9,20 @@ Error of the angle [rad]: round-off up to θ = 4, 1e-12 at 2π; beyond, the angl
 and smooth. A step that turns a body by more than a quarter turn is warned of anyway.
 """
 
+import math
+
+import jax.numpy as jnp
+from jax import lax
+
 from jaxrb.math.arrays import Scalar, Vector, components, stack
 
 # Numerator and denominator of tan x ≈ x · n(x²)/d(x²), the convergent of order [9/8] of Lambert's continued fraction,
 # both divided by 34459425.
 _NUMERATOR = (1.0, -4729725 / 34459425, 135135 / 34459425, -990 / 34459425, 1 / 34459425)
 _DENOMINATOR = (1.0, -16216200 / 34459425, 945945 / 34459425, -13860 / 34459425, 45 / 34459425)
+
+_TWO_TURNS = 4 * math.pi
+_COARSE = 12.5625
 
 
 def half_turn_factors(squared_angle: Scalar) -> tuple[Scalar, Scalar]:
@@ -24,6 +32,21 @@ def half_turn_factors(squared_angle: Scalar) -> tuple[Scalar, Scalar]:
     n_squared, d_squared = squared * (n * n), d * d
     inverse = 1.0 / (d_squared + n_squared)
     return (d_squared - n_squared) * inverse, 0.5 * (n * d) * inverse
+
+
+def half_turn(angle: Scalar) -> tuple[Scalar, Scalar]:
+    """cos(θ/2) and sin(θ/2) of θ [rad], to round-off for |θ| ≤ 8."""
+    half = 0.5 * angle
+    cosine, factor = half_turn_factors(half * half)
+    sine = factor * half
+    return cosine * cosine - sine * sine, 2.0 * (cosine * sine)
+
+
+def less_turns(angle: Scalar) -> Scalar:
+    """The angle without whole double turns, 4π [rad]: |θ| ≤ 2π, and the quaternion is the same."""
+    turns = jnp.round(lax.stop_gradient(angle) * (1.0 / _TWO_TURNS))
+    # In two parts, the first of so few digits that its multiples are exact.
+    return (angle - turns * _COARSE) - turns * (_TWO_TURNS - _COARSE)
 
 
 def turn(rotation_vector: Vector) -> Vector:

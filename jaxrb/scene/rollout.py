@@ -8,12 +8,13 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxrb.body.state import State, finite_per_body
+from jaxrb.body.unturned import shown
 from jaxrb.compilation import jit
 from jaxrb.contact import SOLVED
 from jaxrb.integrators.method import Method, contact_report
 from jaxrb.integrators.names import method_of
 from jaxrb.integrators.runge_kutta import RungeKutta4
-from jaxrb.math.arrays import Scalar, Vector
+from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.scene.certificate import certificate_of
 from jaxrb.scene.joints import check_jointed
 from jaxrb.scene.path import Path
@@ -118,12 +119,16 @@ def _run_steps(
 
     def one(carry: tuple, given: Vector | None) -> tuple[tuple, None]:
         state, memory, finite_steps, done = carry
-        new, memory = method.carried_step(dynamics, state, memory, dt, given if varying else torque)
-        return (timed(new, done + 1), memory, finite_steps + finite_per_body(new), done + 1), None
+        given = given if varying else torque
+        new, memory = method.carried_step(dynamics, timed(state, done), memory, dt, given)
+        return (at(start, new), memory, finite_steps + finite_per_body(new, state), done + 1), None
 
-    def timed(state: State, done: Scalar) -> State:
-        # The time is counted, not added up: 1e6 additions in float32 would lose the third digit.
-        time = start + done.astype(dt.dtype) * dt
+    def timed(state: State, done: Array) -> State:
+        # The time is counted, not added up: 1e6 additions in float32 would lose the third digit. It is formed where it
+        # is asked for, not carried: a step that does not look at it then has no loop over worlds for it.
+        return at(start + done.astype(dt.dtype) * dt, state)
+
+    def at(time: Scalar, state: State) -> State:
         return State(state.position, state.orientation, state.velocity, state.angular_velocity, time)
 
     def advance(carry: tuple, given: Vector | None, count: int) -> tuple:
@@ -131,17 +136,18 @@ def _run_steps(
             return _plain(one, carry, given, count) if brief else _scan(one, carry, given, count)
         state, memory, finite_steps, done = carry
         reversed_run: Any = reversible_steps  # custom_vjp hides its signature from type checkers
-        new, finite = reversed_run(method, count, dynamics, state, dt, torque)
-        return timed(new, done + count), memory, finite_steps + finite, done + count
+        new, finite = reversed_run(method, count, dynamics, timed(state, done), dt, torque)
+        return at(start, new), memory, finite_steps + finite, done + count
 
     def stretch(carry: tuple, given: Vector | None) -> tuple[tuple, Any]:
         carry = advance(carry, given, save_every)
-        return carry, (carry[0], contact_report(carry[1]))
+        return carry, (shown(timed(carry[0], carry[3])), contact_report(carry[1]))
 
     saves = steps // save_every
     brief = dynamics.contact is not None and steps * len(state.position) <= _BRIEF
     bad = sound(state, method.renormalise)
-    carry = (state, method.first_carry(dynamics, state), jnp.zeros_like(bad), jnp.zeros((), jnp.int32))
+    held = state if adjoint == "reversible" else method.held(dynamics, state)
+    carry = (held, method.first_carry(dynamics, state), jnp.zeros_like(bad), jnp.zeros((), jnp.int32))
     regular, rest = None, None
     if torque is not None and varying:
         regular = torque[: saves * save_every].reshape(saves, save_every, *torque.shape[1:])
@@ -154,9 +160,10 @@ def _run_steps(
         carry = advance(carry, rest, steps - saves * save_every)
     first = (state, contact_report(method.first_carry(dynamics, state)))
     states, contact = jax.tree.map(lambda one, later: jnp.concatenate([one[None], later]), first, saved)
-    status = status_after(bad, carry[2], steps, carry[0], method.renormalise)
+    final = shown(timed(carry[0], carry[3]))
+    status = status_after(bad, carry[2], steps, final, method.renormalise)
     status = with_contact(status, contact_report(carry[1]))
-    return states.time, states, carry[0], status, contact
+    return states.time, states, final, status, contact
 
 
 _run = jit(_run_steps, static_argnames=("steps", "save_every", "adjoint"))

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxrb.body.state import State, finite_per_body
+from jaxrb.body.unturned import shown
 from jaxrb.integrators.method import Method, contact_report
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.scene.scene import Scene
@@ -19,17 +20,23 @@ from jaxrb.scene.status import Status, sound, status_after, with_contact
 
 
 class Progress(eqx.Module):
-    """All that the next step needs: `state`, what the method carries (`carry`), and the counts of the run.
+    """All that the next step needs: `held`, the state as the method holds it, what it carries beside (`carry`), and the
+    counts of the run.
 
     `start` () [s]; `done` () steps; `finite_steps` (n,); `unsound` (n,): reason code of the state at the start.
     """
 
-    state: State
+    held: State
     carry: Any
     start: Scalar
     done: Array
     finite_steps: Array
     unsound: Array
+
+    @property
+    def state(self) -> State:
+        """Where the run is."""
+        return shown(self.held)
 
 
 class Stretch(eqx.Module):
@@ -45,8 +52,16 @@ class Stretch(eqx.Module):
 def begun(scene: Scene, state: State, method: Method) -> Progress:
     """A run before its first step."""
     unsound = sound(state, method.renormalise)
-    carry = method.first_carry(scene.prepared(state.dtype), state)
-    return Progress(state, carry, state.time, jnp.zeros((), jnp.int32), jnp.zeros_like(unsound), unsound)
+    dynamics = scene.prepared(state.dtype)
+    carry = method.first_carry(dynamics, state)
+    return Progress(
+        method.held(dynamics, state),
+        carry,
+        state.time,
+        jnp.zeros((), jnp.int32),
+        jnp.zeros_like(unsound),
+        unsound,
+    )
 
 
 def report_of(progress: Progress) -> Any:
@@ -71,16 +86,18 @@ def _stretched(
     room: int,
 ) -> tuple[Progress, Stretch]:
     """The run up to step `end`, with the states of every `save_every`-th step, `room` of them at most."""
-    dynamics = scene.prepared(progress.state.dtype)
+    dynamics = scene.prepared(progress.held.dtype)
     varying = torque is not None and torque.ndim == 3
 
     def one(_: Any, now: Progress) -> Progress:
         given = torque[now.done] if varying else torque  # pyright: ignore[reportOptionalSubscript]
-        new, carry = method.carried_step(dynamics, now.state, now.carry, dt, given)
+        new, carry = method.carried_step(dynamics, now.held, now.carry, dt, given)
         done = now.done + 1
         # Counted as `rollout` counts it.
         new = eqx.tree_at(lambda s: s.time, new, now.start + done.astype(dt.dtype) * dt)
-        return Progress(new, carry, now.start, done, now.finite_steps + finite_per_body(new), now.unsound)
+        return Progress(
+            new, carry, now.start, done, now.finite_steps + finite_per_body(new, now.held), now.unsound
+        )
 
     def to_next_save(carried: tuple) -> tuple:
         now, kept, saved = carried
