@@ -95,8 +95,7 @@ def solve_events(
             the step of resting contact: bodies that stay on each other are stepped as by `rollout` until they part.
             None: a run in which bodies come to rest fails.
         resting_speed: [m/s] bodies that meet more slowly and do not bounce without loss stay together; by default
-        1e-4 in
-            float64, 1e-3 in float32.
+            1e-4 in float64, 1e-3 in float32.
         max_steps: most pieces of `dt`; needed only where `t1`, `dt` or the state's time is traced.
         on_error: as for `rollout`.
 

@@ -104,7 +104,8 @@ def rollout_worlds(
 
     Raises:
         WrongStructure: something else than pairs of a scene and a state of it.
-        LimitExceeded, RunFailed.
+        LimitExceeded: as of `rollout`.
+        RunFailed: as of `rollout`.
     """
     method = method_of(method)
     check_choice("on_error", on_error, ON_ERROR)
