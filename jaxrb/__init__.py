@@ -141,6 +141,7 @@ if TYPE_CHECKING:
     from jaxrb.fit import InertiaFit, ParametersNotIdentifiable, RatiosNotIdentifiable, SceneFit, fit_inertia
     from jaxrb.fit import fit_scene as fit
     from jaxrb.io import Recording, read_mesh, read_recording, replay, run, write_recording
+    from jaxrb.io.models import Model, load_mjcf, load_urdf
     from jaxrb.scene.adams import SmoothPath, solve_smooth
     from jaxrb.scene.adaptive import AdaptivePath, solve_contact
     from jaxrb.scene.events import EventPath, solve_events
@@ -171,6 +172,9 @@ _LATER = {
     "SceneFit": "jaxrb.fit",
     "fit_inertia": "jaxrb.fit",
     "Recording": "jaxrb.io",
+    "Model": "jaxrb.io.models",
+    "load_mjcf": "jaxrb.io.models",
+    "load_urdf": "jaxrb.io.models",
     "read_mesh": "jaxrb.io",
     "read_recording": "jaxrb.io",
     "replay": "jaxrb.io",

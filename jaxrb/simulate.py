@@ -1,5 +1,6 @@
 """`jaxrb simulate`: run a scene, say what happened, and what it cost."""
 
+import functools
 import json as json_text
 import math
 import sys
@@ -16,11 +17,12 @@ from jaxrb.body.state import State
 from jaxrb.compilation import compiler_options
 from jaxrb.errors import InvalidInput
 from jaxrb.integrators.method import Method
+from jaxrb.integrators.names import method_of
+from jaxrb.io.models.load import example_named
 from jaxrb.math.euler_angles import EulerAngles
 from jaxrb.math.matrix import RotationMatrix
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.scene.example import Example
-from jaxrb.scene.library import example_of
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene
 from jaxrb.scene.stretch import begun, report_of, room_for, stretched
@@ -49,24 +51,25 @@ def simulate(
 
     Args:
         scene: a name (bouncing_ball, billiard_break, slab_with_balls, block_on_incline, domino_row, stack_of_10, arch,
-            pile_of_64, spheres_216, cube_toss, spinning_coin, tippe_top; with joints double_pendulum, chain, door,
-            four_bar, bricard, ragdoll; without either those of work-precision), or
-            a Python file that defines scene, state and duration, and dt if it likes.
+            pile_of_64, spheres_216, sphere_box, cube_toss, spinning_coin, tippe_top; with joints double_pendulum,
+            chain, door, four_bar, bricard, ragdoll; without either those of work-precision), or
+            a Python file that defines scene, state and duration, and dt if it likes, or a model (.xml, .urdf).
         dt: step [s]; by default the scene's own.
         duration: [s]; by default the scene's own.
         method: how to advance.
         representation: of rotations.
-        save: write the saved states, energies and the report of contact into this NumPy file (.npz).
+        save: write the saved states, energies, the report of contact, its points and forces into this file (.npz).
         plot: draw heights and energy over time and the bodies at the end, from the side, into this file.
         html: write a page that plays the run, without a network, into this file (see `jaxrb view`).
         json: print one JSON object instead of a table.
     """
-    example = example_of(scene)
+    example = example_named(scene)
     if save is not None and save.suffix != ".npz":
         raise InvalidInput(f"--save {save}: the file is a NumPy archive; give it a name that ends in .npz")
     path, facts = run(example, dt, duration, method, representation, bar=sys.stderr.isatty())
     if save is not None:
-        np.savez(save, **arrays(path))  # pyright: ignore[reportArgumentType] - of savez itself
+        found = arrays(path) | _pressed(path, facts["dt_s"], method)
+        np.savez(save, **found)  # pyright: ignore[reportArgumentType] - of savez itself
     if plot is not None:
         from jaxrb.view import figures
         from jaxrb.view.simulation_figure import simulation_figure
@@ -149,7 +152,10 @@ def _in_stretches(
     progress = begun(scene, state, method)
     room = room_for(length // every)
     lowered = stretched.lower(scene, progress, None, step, method, apart, apart, room=room)
-    program = lowered.compile(compiler_options=compiler_options())
+    program: Any = lowered.compile(compiler_options=compiler_options())
+    if getattr(jax.config, "jax_debug_nans"):  # noqa: B009
+        # only a function can be run again, operation by operation
+        program = functools.partial(stretched, room=room)
     compiling, began = time.perf_counter() - began, time.perf_counter()
     rows = [jax.tree.map(lambda x: np.asarray(x)[None], (state, report_of(progress)))]
     done = 0
@@ -190,6 +196,16 @@ def arrays(path: Path) -> dict[str, np.ndarray]:
     if path.contact is not None:
         found |= {f"contact_{name}": value for name, value in vars(path.contact).items()}
     return {name: np.asarray(value) for name, value in found.items()}
+
+
+def _pressed(path: Path, dt: float, method: str) -> dict[str, np.ndarray]:
+    """Points and forces of contact at the saved states, for `jaxrb view`."""
+    if path.contact is None:
+        return {}
+    from jaxrb.view.viewer_contacts import contacts_of
+
+    found = contacts_of(path.scene, path.states, dt, method_of(method))
+    return {} if found is None else found.arrays()
 
 
 def _lines(facts: dict[str, Any]) -> Iterator[tuple[str, str]]:

@@ -124,7 +124,7 @@ def directions(info: Information, coordinates: np.ndarray) -> Directions:
     to_basis = (_BASIS * _WEIGHTS) @ jacobian  # (5, 5)
     inverse = np.linalg.pinv(to_basis, rcond=1e-13)
     total = info.total
-    if len(total) > 5 and np.any(total[5:, 5:]):  # other shared parameters are eliminated first
+    if len(total) > 5:  # other shared parameters are eliminated first; of some a recording may tell nothing
         rest = total[5:, 5:]
         total = total[:5, :5] - total[:5, 5:] @ np.linalg.pinv(rest, hermitian=True) @ total[5:, :5]
     values, vectors = np.linalg.eigh(inverse.T @ total @ inverse)

@@ -50,6 +50,7 @@ def view(
     title: str = "",
     bounds: bool = True,
     forces: bool = False,
+    dt: float | None = None,
 ) -> View:
     """The run as a page with a player: play, pause, scrub, follow a body, trails, bounding volumes, energy and drift.
 
@@ -61,8 +62,9 @@ def view(
         file: where to write the page (.html); None: only return it, which a notebook shows.
         title: heading of the page.
         bounds: hold bounding spheres, oriented boxes and hulls ready to be shown.
-        forces: compute each effect's forces at the saved states and hold them ready as arrows. Rigid contact acts by
-            impulses, of which a path saves only totals; the impacts of `rb.solve_events` are always shown.
+        forces: compute each effect's forces at the saved states and hold them ready as arrows, and those of rigid
+            contact at the points where it presses. The impacts of `rb.solve_events` are always shown.
+        dt: [s] the step whose contact forces are told, by default 1 ms: give that of the run.
 
     Raises:
         WrongStructure: no path, one of many worlds, one that is being traced. InvalidInput: see `View.save`.
@@ -70,7 +72,7 @@ def view(
     from jaxrb.view.viewer_page import page_of
     from jaxrb.view.viewer_record import record_of
 
-    found = View(page_of(record_of(path, title, bounds=bounds, forces=forces)))
+    found = View(page_of(record_of(path, title, bounds=bounds, forces=forces, dt=dt)))
     if file is not None:
         found.save(file)
     return found

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.errors import InvalidInput
+from jaxrb.io.models.load import example_named
 from jaxrb.io.npz import read_arrays
 from jaxrb.io.run import run
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.scene.example import Example
-from jaxrb.scene.library import example_of
 from jaxrb.scene.path import Path
 from jaxrb.scene.settings import check_positive
 from jaxrb.view.viewer import View
@@ -44,13 +44,13 @@ def view(
     Example: jaxrb view run.npz --scene stack_of_10
 
     Args:
-        run_or_scene: a file that `jaxrb simulate --save` wrote, or a scene to run: a name, or a Python file that
-            defines scene, state and duration.
+        run_or_scene: a file that `jaxrb simulate --save` wrote, or a scene to run: a name, a Python file that
+            defines scene, state and duration, or a model (.xml, .urdf).
         scene: the scene whose run the file holds, for its shapes, which the file has not; without it bodies are small
             boxes.
         out: the page (.html); by default named after the run.
         duration: [s] to run a scene for; by default its own.
-        forces: hold the effects' forces ready as arrows.
+        forces: hold the effects' forces ready as arrows, and those of contact at its points. A file has the latter.
         png: the bodies at the end from the side, as a picture.
         gif: the run from the side, as a moving picture.
         glb: the run as an animation for Blender.
@@ -70,13 +70,13 @@ def view(
         page = _without_scene(File(run_or_scene))
     else:
         if saved:
-            path, title = _read(File(run_or_scene), example_of(str(scene)))
+            path, title = _read(File(run_or_scene), example_named(str(scene)))
             record = record_of_arrays(
                 _arrays(File(run_or_scene)), bodies_of(path.scene), obstacles_of(path.scene), title
             )
         else:
-            path, title = _simulated(example_of(run_or_scene), duration)
-            record = record_of(path, title, forces=forces)
+            path, title, dt = _simulated(example_named(run_or_scene), duration)
+            record = record_of(path, title, forces=forces, dt=dt)
         page = page_of(record)
         _draw(path, pictures)
     written = [View(page).save(out), *(file for file in pictures.values() if file is not None)]
@@ -87,7 +87,7 @@ def view(
     print("\n".join(f"{name}: {size / 1e6:.2f} MB" for name, size in sizes.items()))
 
 
-def _simulated(example: Example, duration: float | None) -> tuple[Path, str]:
+def _simulated(example: Example, duration: float | None) -> tuple[Path, str, float]:
     span = example.duration if duration is None else duration
     check_positive("duration", span)
     dt = example.dt or span / _STEPS
@@ -97,7 +97,7 @@ def _simulated(example: Example, duration: float | None) -> tuple[Path, str]:
         example.scene, example.state(), dt=dt, steps=steps - steps % every, save_every=every,
         progress=sys.stderr.isatty(),
     )  # fmt: skip
-    return path, f"{example.name}: {example.about}"
+    return path, f"{example.name}: {example.about}", dt
 
 
 def _arrays(file: File) -> dict[str, np.ndarray]:

@@ -11,6 +11,7 @@ from jaxrb.checks import is_concrete
 from jaxrb.errors import InvalidInput, WrongStructure
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene
+from jaxrb.view.viewer_contacts import STEP, SavedContacts, contacts_of
 from jaxrb.view.viewer_scene import Seen, add_bounds, bodies_of, obstacles_of
 from jaxrb.view.viewer_surfaces import Part, quaternion_of
 
@@ -36,8 +37,10 @@ class Record:
         return {"at": at, "shape": list(array.shape), "type": kind}
 
 
-def record_of(path: Path, title: str = "", *, bounds: bool = True, forces: bool = False) -> Record:
-    """The record of a run.
+def record_of(
+    path: Path, title: str = "", *, bounds: bool = True, forces: bool = False, dt: float | None = None
+) -> Record:
+    """The record of a run; `dt` [s] is the step whose contact forces are told.
 
     Raises:
         WrongStructure: no path of one world, or one that is being traced.
@@ -55,10 +58,10 @@ def record_of(path: Path, title: str = "", *, bounds: bool = True, forces: bool 
     record.header["series"] = _series(record, path)
     record.header["events"] = _events(record, path)
     record.header["forces"] = _forces(record, path) if forces else []
-    if path.contact is not None and record.header["events"] is None:
-        notes.append(
-            "points of contact are not shown: a rollout saves what contact did in total, not its points"
-        )
+    found = contacts_of(path.scene, path.states, dt or STEP) if forces else None
+    record.header["contacts"] = _contacts(record, found)
+    if path.contact is not None and record.header["events"] is None and not forces:
+        notes.append("points and forces of contact are not shown: ask for them by forces=True")
     return record
 
 
@@ -96,7 +99,8 @@ def record_of_arrays(
         if name in arrays and np.shape(arrays[name]) == (k,)
     }
     record.header["series"] = [_chart(record, "Energy since the start", "J", found)] if found else []
-    record.header |= {"events": None, "forces": []}
+    pressed = SavedContacts.of_arrays(title, arrays, k)
+    record.header |= {"events": None, "forces": [], "contacts": _contacts(record, pressed)}
     return record
 
 
@@ -212,8 +216,19 @@ def _events(record: Record, path: Path) -> dict[str, Any] | None:
     }
 
 
+def _contacts(record: Record, found: SavedContacts | None) -> dict[str, Any] | None:
+    """Points and forces of contact at each saved state."""
+    if found is None or not len(found.point):
+        return None
+    return {
+        "first": record.put(found.first, "i4"),
+        "point": record.put(found.point, "f4"),
+        "force": record.put(found.force, "f4"),
+    }
+
+
 def _forces(record: Record, path: Path) -> list[dict[str, Any]]:
-    """The force (k, n, 3) [N] of each effect that has one; rigid contact acts by impulses, which no path saves."""
+    """The force (k, n, 3) [N] of each effect that has one; rigid contact acts by impulses, see `viewer_contacts`."""
     found = _evaluated(path.scene, path.states)
     return [
         {"name": name.split(" ")[1], "values": record.put(force, "f4")}

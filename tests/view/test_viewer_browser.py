@@ -8,7 +8,7 @@ import shutil
 import jax
 import numpy as np
 import pytest
-from viewer_scenes import EVIL, path_of, scene_of_all, with_events
+from viewer_scenes import EVIL, path_of, resting_tower, scene_of_all, with_events
 
 import jaxrb as rb
 from jaxrb.view.viewer_surfaces import matrix_of, quaternion_of
@@ -261,3 +261,87 @@ def test_fifty_boxes_are_drawn(browser, folder):
     assert different > 50
     assert found.errors == []
     found.context.close()
+
+
+def test_contact_forces_are_arrows(browser, folder):
+    rb.view(resting_tower(), folder / "tower.html", forces=True)
+    found = Opened(browser, folder / "tower.html")
+    found.page.evaluate("window.jaxrb.ready")
+    # Gravity's of two balls, and where the floor bears both and one the other.
+    assert found.page.evaluate("[0.0, 0.4].map(t => { jaxrb.seek(t); return jaxrb.arrows(); })") == [4, 4]
+    found.page.locator("#picture").focus()
+    found.page.keyboard.press("p")
+    assert found.page.evaluate("jaxrb.seek(0.2), jaxrb.arrows()") == 2
+    assert found.errors == []
+    found.context.close()
+
+
+def test_fifty_boxes_play_at_thirty_frames_a_second(browser, folder):
+    """Drawn by software. The best of some seconds: what else the machine does is not the page's fault."""
+    found = Opened(browser, folder / "fifty.html", viewport={"width": 800, "height": 600})
+    found.page.evaluate("window.jaxrb.ready")
+    rates = []
+    for _ in range(8):
+        found.page.evaluate("jaxrb.seek(0), jaxrb.play()")
+        found.page.wait_for_timeout(300)
+        before = found.page.evaluate("[jaxrb.frames, performance.now()]")
+        found.page.wait_for_timeout(1200)
+        after = found.page.evaluate("[jaxrb.frames, performance.now()]")
+        rates.append(1000 * (after[0] - before[0]) / (after[1] - before[1]))
+        found.page.evaluate("jaxrb.pause()")
+        if rates[-1] > 40:
+            break
+    print(f"50 boxes, software rendering: {max(rates):.1f} frames/s (of {[round(rate) for rate in rates]})")
+    assert max(rates) >= 30
+    found.context.close()
+
+
+PICTURES = pathlib.Path(__file__).with_name("pictures")
+PICTURED = {
+    "shapes": lambda path: (path, {"bounds": False}, 1.0),
+    "contact": lambda path: (resting_tower(), {"forces": True, "bounds": False}, 0.5),
+    "impacts": lambda path: (
+        with_events(path_of(rb.Scene(rb.Body.from_shape(rb.Capsule(0.2, 0.4), 100.0), rb.UniformGravity()))),
+        {"forces": True},
+        0.51,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PICTURED)
+def test_pictures_look_as_they_did(name, browser, path, folder):
+    """Beside the picture of a page that was looked at: means over squares of 8 points, which edges do not move.
+
+    JAXRB_WRITE_PICTURES=1 takes new ones; look at them.
+    """
+    from matplotlib import image
+
+    run, options, time = PICTURED[name](path)
+    rb.view(run, folder / f"{name}.html", **options)
+    found = Opened(
+        browser, folder / f"{name}.html", viewport={"width": 360, "height": 560}, color_scheme="light"
+    )
+    found.page.evaluate("window.jaxrb.ready")
+    found.page.evaluate("t => jaxrb.seek(t)", time)
+    found.page.wait_for_timeout(300)
+    file, kept = folder / f"{name}.png", PICTURES / f"{name}.png"
+    file.write_bytes(found.page.locator("#picture").screenshot())
+    found.context.close()
+    if os.environ.get("JAXRB_WRITE_PICTURES") == "1":
+        kept.write_bytes(file.read_bytes())
+    seen, wanted = (image.imread(picture)[..., :3] for picture in (file, kept))
+    assert seen.shape == wanted.shape
+    high, wide = (8 * (length // 8) for length in seen.shape[:2])
+    squares = [
+        np.asarray(x)[:high, :wide].reshape(high // 8, 8, wide // 8, 8, 3).mean(axis=(1, 3))
+        for x in (seen, wanted)
+    ]
+    apart = np.abs(squares[0] - squares[1]).max(axis=-1)
+    assert apart.mean() < 0.004, f"{name}: the picture differs by {apart.mean():.4f} on the mean"
+    assert (apart > 0.1).mean() < 0.002, (
+        f"{name}: {np.argwhere(apart > 0.1).tolist()[:5]} (squares of 8) differ"
+    )
+
+
+def test_pictures_are_small():
+    assert sum(file.stat().st_size for file in PICTURES.glob("*.png")) <= 100_000

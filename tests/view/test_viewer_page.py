@@ -64,7 +64,7 @@ def test_header_has_its_schema(page, path):
     assert header["schema"] == 1
     assert set(header) == {
         "schema", "title", "times", "position", "orientation", "notes", "bodies", "obstacles", "surfaces", "series",
-        "events", "forces",
+        "events", "forces", "contacts",
     }  # fmt: skip
     assert len(header["bodies"]) == path.scene.count
     for body in header["bodies"] + header["obstacles"]:

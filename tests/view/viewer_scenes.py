@@ -1,5 +1,7 @@
 """Paths with every shape, made without a run: what a picture shows needs no dynamics."""
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -76,3 +78,14 @@ def with_events(path):
     pairs, points = np.array([[0, -1], [0, -1], [-2, -2]]), np.array([1, 1, 0])
     events = Events(np.array([0.5, 1.0, np.inf]), pairs, rows, rows, points, np.int32(2))
     return EventPath(path.times, path.states, path.final, None, path.scene, events=events)
+
+
+def resting_tower():
+    """A ball that rests on a ball on a floor, saved three times as they are."""
+    ball = rb.replicate(rb.Body.from_shape(rb.Sphere(0.1), density=500.0, name="ball"), 2)
+    touch = (rb.RigidContact(rb.HalfSpace(), friction=0.5), rb.RigidContact(friction=0.5))
+    scene = rb.Scene(ball, (rb.UniformGravity(), *touch))
+    state = scene.state(position=[(0, 0, 0.1), (0, 0, 0.3)])
+    states = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), state)
+    states = eqx.tree_at(lambda s: s.time, states, jnp.asarray([0.0, 0.5, 1.0], state.dtype))
+    return Path(states.time, states, state, None, scene)

@@ -4,7 +4,7 @@ import { Bodies, COLOURS } from "jaxrb/bodies";
 import { Charts, short } from "jaxrb/charts";
 import { Motion } from "jaxrb/motion";
 import { Orbit } from "jaxrb/orbit";
-import { Forces, Impacts, Labels, Trails, volumes } from "jaxrb/overlays";
+import { Contacts, Forces, Impacts, Labels, Trails, volumes } from "jaxrb/overlays";
 import { Player, bindKeys } from "jaxrb/player";
 import { Stage } from "jaxrb/stage";
 
@@ -124,6 +124,11 @@ function overlaysOf(view, header, buffer) {
     const impacts = new Impacts(header.events, buffer, motion, 0.5 * frame.radius);
     group(impacts.group, (at, time) => impacts.update(time), "Impacts", "i", true);
     found.at(-1).arrows = impacts.arrows;
+  }
+  if (header.contacts) {
+    const contacts = new Contacts(header.contacts, buffer, motion, Math.min(4 * reach, 0.5 * frame.radius), 0xb5541c);
+    group(contacts.group, (at) => contacts.update(at), "Contact forces", "p", true);
+    found.at(-1).arrows = contacts.arrows;
   }
   header.forces.forEach((entry, k) => {
     const forces = new Forces(entry, buffer, motion, Math.min(4 * reach, 0.5 * frame.radius), COLOURS[(k + 3) % COLOURS.length]);

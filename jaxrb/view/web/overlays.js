@@ -4,6 +4,7 @@ import { arrayOf } from "jaxrb/motion";
 import { COLOURS } from "jaxrb/bodies";
 
 const MOST_LABELS = 80;
+const MOST_CONTACTS = 1000; // arrows at a time
 
 export class Trails {
   constructor(motion) {
@@ -91,6 +92,11 @@ class Arrows {
     this.arrows = Array.from({ length: most }, () => {
       const arrow = new THREE.ArrowHelper(new THREE.Vector3(0, 0, 1), new THREE.Vector3(), 1, colour);
       arrow.visible = false;
+      // Before all bodies: a force of contact points into the body that it pushes, weight starts within.
+      for (const part of [arrow.line, arrow.cone]) {
+        Object.assign(part.material, { depthTest: false, transparent: true });
+        part.renderOrder = 2;
+      }
       this.group.add(arrow);
       return arrow;
     });
@@ -163,6 +169,30 @@ export class Forces {
       }
       if (group.visible) this.arrows.add(...group.position.toArray(), here, this.largest);
     });
+    this.arrows.end();
+  }
+}
+
+// Forces of contact where they press, at the saved state that is nearest: between two, points come and go.
+export class Contacts {
+  constructor(entry, buffer, motion, size, colour) {
+    this.first = arrayOf(buffer, entry.first);
+    this.point = arrayOf(buffer, entry.point);
+    this.force = arrayOf(buffer, entry.force);
+    let most = 0;
+    for (let k = 1; k < this.first.length; k += 1) most = Math.max(most, this.first[k] - this.first[k - 1]);
+    this.arrows = new Arrows(colour, size, Math.min(most, MOST_CONTACTS));
+    this.group = this.arrows.group;
+    this.largest = largestOf(this.force);
+  }
+
+  update(at) {
+    const save = at.save + (at.fraction > 0.5 ? 1 : 0);
+    this.arrows.begin();
+    for (let k = this.first[save]; k < this.first[save + 1]; k += 1) {
+      const vector = new THREE.Vector3().fromArray(this.force, 3 * k);
+      this.arrows.add(...this.point.subarray(3 * k, 3 * k + 3), vector, this.largest);
+    }
     this.arrows.end();
   }
 }
