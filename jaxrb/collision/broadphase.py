@@ -1,22 +1,26 @@
 """Which bodies may touch: pairs whose boxes overlap, among many bodies at nearly linear cost.
 
-Few bodies are looked at pair by pair; many are sorted along a space-filling curve, under which a hierarchy of boxes is
-formed anew at each call and walked against itself. Unlike a grid it does not mind bodies of very different sizes, and
-unlike a sweep along one axis its cost stays near n log n for bodies spread in space.
+Few bodies are looked at pair by pair. Many of like size are sorted into a grid; where a few are so much larger that
+its cells are full, all are sorted along a space-filling curve, under which a hierarchy of boxes is formed anew and
+walked against itself: it does not mind sizes, and unlike a sweep along one axis its cost stays near n log n for bodies
+spread in space. (10,000 balls, side by side: the grid takes 7 ms, the hierarchy 140 to 200.)
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from jaxrb.checks import raise_if_overflowed
+from jaxrb.collision.grid import grid_pairs
 from jaxrb.errors import WrongStructure
 from jaxrb.geometry.hierarchy import Hierarchy, dealt, walk
 from jaxrb.math.arrays import Array, Scalar
 from jaxrb.math.compaction import first_true
 
-# Above so many bodies the hierarchy is cheaper than all pairs.
+# Above so many bodies the grid is cheaper than all pairs.
 _FEW = 256
 
 
@@ -50,6 +54,7 @@ def body_pairs(
     groups: Array | None = None,
     masks: Array | None = None,
     margin: Scalar = 0.0,
+    keep: Callable[[Array, Array], Array] | None = None,
 ) -> BodyPairs:
     """The pairs of bodies whose boxes come within `margin` [m] of each other. Pure, of fixed size; `vmap` over worlds.
 
@@ -58,6 +63,7 @@ def body_pairs(
         capacity: most pairs that are kept; `overflow` tells where that was too few.
         groups, masks: (n,) whole numbers read as bits. Two bodies pair where each one's mask holds a bit of the other's
             group; by default all do.
+        keep: `keep(first, second)`, of pairs that may be any, whether they are wanted: a test sharper than boxes.
 
     Raises:
         WrongStructure: arrays that do not fit each other, a capacity below 1.
@@ -75,14 +81,24 @@ def body_pairs(
     span = jnp.max(jnp.where(finite, jnp.maximum(jnp.abs(low), jnp.abs(high)), 0.0)) + jnp.abs(margin)
     low = jnp.where(finite, low, -2.0 * span) - 0.5 * margin
     high = jnp.where(finite, high, 2.0 * span) + 0.5 * margin
+
+    def wanted(first: Array, second: Array) -> Any:
+        allowed = _allowed(bits, first, second)
+        return allowed if keep is None else allowed & keep(first, second)
+
     if len(low) <= _FEW:
-        return _all_pairs(low, high, capacity, bits)
-    return _by_hierarchy(low, high, capacity, bits)
+        return _all_pairs(low, high, capacity, wanted)
+    found = grid_pairs(low, high, capacity, None if bits is None and keep is None else wanted)
+    return lax.cond(
+        found.crowded,
+        lambda: _by_hierarchy(low, high, capacity, wanted),
+        lambda: BodyPairs(found.first, found.second, found.count, found.tests, found.total > capacity),
+    )
 
 
-def _all_pairs(low: Array, high: Array, capacity: int, bits: Any) -> BodyPairs:
+def _all_pairs(low: Array, high: Array, capacity: int, wanted: Any) -> BodyPairs:
     first, second = (jnp.asarray(side, jnp.int32) for side in np.triu_indices(len(low), 1))
-    near = _overlap(low, high, first, second) & _allowed(bits, first, second)
+    near = _overlap(low, high, first, second) & wanted(first, second)
     number, total = first_true(near, capacity)
     tests = jnp.asarray(len(first), jnp.int32)
     if len(first):
@@ -92,14 +108,14 @@ def _all_pairs(low: Array, high: Array, capacity: int, bits: Any) -> BodyPairs:
     return BodyPairs(first, second, jnp.minimum(total, capacity), tests, total > capacity)
 
 
-def _by_hierarchy(low: Array, high: Array, capacity: int, bits: Any) -> BodyPairs:
+def _by_hierarchy(low: Array, high: Array, capacity: int, wanted: Any) -> BodyPairs:
     order = jnp.argsort(_morton(0.5 * (low + high))).astype(jnp.int32)
     tree = Hierarchy.over(dealt(order), low, high)
     identity, origin = jnp.eye(3, dtype=low.dtype), jnp.zeros(3, low.dtype)
 
     def keep(first: Array, second: Array) -> Array:
         # The walk allows for round-off, which here would let pairs in that do not overlap.
-        return _overlap(low, high, first, second) & _allowed(bits, first, second)
+        return _overlap(low, high, first, second) & wanted(first, second)
 
     found = walk(tree, tree, identity, origin, 0.0, capacity, halves=True, keep=keep)
     here = jnp.arange(capacity) < found.count

@@ -161,17 +161,17 @@ def _coefficient(name: str, rules: Any, obstacles: Any, meetings: Any, incidence
     for obstacle in obstacles:
         value = getattr(rules[obstacle.rule], name)
         members = np.asarray(obstacle.members)
-        parts.append(_of_bodies(value, members))
+        parts.append(coefficient_of(value, members))
     for meeting in meetings:
         rule = rules[meeting.rule]
         value, size = getattr(rule, name), meeting.touching
-        sides = [_of_bodies(value, side[at : at + size]) for side in (incidence.first, incidence.second)]
-        parts.append(_combined(rule.combine, *sides))
+        sides = [coefficient_of(value, side[at : at + size]) for side in (incidence.first, incidence.second)]
+        parts.append(combined(rule.combine, *sides))
         at += size
     return jnp.concatenate(parts)
 
 
-def _of_bodies(value: Any, bodies: Any) -> Array:
+def coefficient_of(value: Any, bodies: Any) -> Array:
     if value is None:
         return jnp.zeros(len(bodies))
     value = jnp.asarray(value)
@@ -180,7 +180,7 @@ def _of_bodies(value: Any, bodies: Any) -> Array:
     return value.at[bodies].get(mode="clip")
 
 
-def _combined(rule: str, a: Array, b: Array) -> Array:
+def combined(rule: str, a: Array, b: Array) -> Array:
     if rule == "geometric":
         # Of equal coefficients the mean is that coefficient, also with its derivative where it is zero.
         equal = a == b

@@ -26,6 +26,8 @@ from jaxrb.contact.many import solve_all
 from jaxrb.contact.names import SOLVED
 from jaxrb.contact.problem import Problem
 from jaxrb.contact.solver import Solution, compliance
+from jaxrb.contact.sparse import solve_sparse
+from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.vector import dot
 
@@ -45,6 +47,20 @@ def _rule(primals: Any, tangents: Any) -> Any:
     motion, impulse = _tangents(numbers, change, rest, found)
     still = jax.tree.map(_no_tangent, found)
     return found, eqx.tree_at(lambda s: (s.motion, s.impulse), still, (motion, impulse))
+
+
+@jax.custom_jvp
+def solve_crowd(problem: Problem, start: Vector) -> Solution:
+    """`solve_sparse`. Derivatives are refused by name: its dense linear system would have (6n)² numbers."""
+    return solve_sparse(problem, start)
+
+
+@solve_crowd.defjvp
+def _refused(primals: Any, tangents: Any) -> Any:
+    raise WrongStructure(
+        f"RigidContact: no derivative through the sparse solve of a crowd ({len(primals[0].mass)} bodies); use "
+        "solver='newton', which has one, or rb.CompliantContact"
+    )
 
 
 def _no_tangent(leaf: Array) -> Any:

@@ -26,7 +26,7 @@ class Near:
 
     def __init__(self, kinds: tuple[Kind, ...], state: State, reach: Scalar):
         low = jnp.full((len(reach), 3), jnp.inf, state.dtype)
-        high, middle, radius = -low, jnp.zeros_like(low), jnp.zeros_like(reach)
+        high, middle, radius, size = -low, jnp.zeros_like(low), jnp.zeros_like(reach), jnp.zeros_like(reach)
         for kind in kinds:
             members = np.asarray(kind.members)
             shape, pose = jax.lax.stop_gradient(placed(kind, np.arange(len(members)), state, members))
@@ -35,9 +35,10 @@ class Near:
             low = low.at[members].set(box.low - slack[:, None])
             high = high.at[members].set(box.high + slack[:, None])
             center = 0.5 * (box.low + box.high)
-            radius = radius.at[members].set(_ball_radius(shape, box) + slack)
+            ball = _ball_radius(shape, box)
+            radius, size = radius.at[members].set(ball + slack), size.at[members].set(ball)
             middle = middle.at[members].set(center)
-        self.low, self.high, self.middle, self.radius = low, high, middle, radius
+        self.low, self.high, self.middle, self.radius, self.size = low, high, middle, radius, size
 
     def choose(self, meeting: Meeting) -> tuple[Any, Any]:
         """Numbers (capacity,) of the pairs whose boxes overlap, ascending, −1 beyond; whether there were more."""

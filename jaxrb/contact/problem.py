@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxrb.contact.block import Contacts
 from jaxrb.contact.law import predicted, projected
 from jaxrb.math.arrays import Array, Scalar, Vector, components, stack
+from jaxrb.math.matrix import RotationMatrix
 from jaxrb.math.rotation import Rotation
 from jaxrb.math.vector import matvec
 
@@ -84,9 +85,10 @@ class Problem(eqx.Module):
 
 def world_inertia(dynamics: Any, orientation: Rotation) -> tuple[Array, Array]:
     """Inertias [kg m²] about the centres and their inverses (n, 3, 3), in W, of bodies turned by R_WB (n, …)."""
+    turned = RotationMatrix.from_rotation(orientation)
     return (
-        dynamics.inertia.inertia.rotated(orientation).as_matrix(),
-        dynamics.inertia.inverted().rotated(orientation).as_matrix(),
+        dynamics.inertia.inertia.rotated(turned).as_matrix(),
+        dynamics.inertia.inverted().rotated(turned).as_matrix(),
     )
 
 

@@ -114,7 +114,7 @@ def solve_contacts(problem: Problem, start: Vector) -> Solution:
     carry = (none, motion, velocity, start, jnp.ones((), bool), softness, unknown, unknown, none)
     count, _, _, held, _, _, _, residual, products = lax.while_loop(going, step, carry)
     poor = residual > jnp.maximum(_POOR * taken, tolerance)
-    held = jnp.where(poor, _passive_share(problem, held), 1.0) * held
+    held = jnp.where(poor, passive_share(problem, held), 1.0) * held
     # By the impulses themselves, so that momentum is kept to round-off whatever the tolerance.
     return Solution(problem.moved_by(held), held, residual, poor, count, products)
 
@@ -126,7 +126,7 @@ def no_contact(problem: Problem, start: Vector) -> Solution:
     return Solution(free, jnp.zeros_like(start), jnp.zeros((), free.dtype), jnp.zeros((), bool), none, none)
 
 
-def _passive_share(problem: Problem, impulse: Vector) -> Scalar:
+def passive_share(problem: Problem, impulse: Vector) -> Scalar:
     """The share of impulses that may be given so that they do no work at the end: where no solution was found."""
     c = problem.contacts
     given = c.impulse_on_bodies(impulse)

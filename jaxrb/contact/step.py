@@ -13,16 +13,21 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxrb.body.state import State
+from jaxrb.collision.touch import slots
+from jaxrb.contact.crowd import Crowd, detect_crowd, room_for_points
 from jaxrb.contact.detection import Detected, detect
 from jaxrb.contact.impact import Course, closing, first_course, impact_scale
-from jaxrb.contact.implicit import solve
+from jaxrb.contact.implicit import solve, solve_crowd
 from jaxrb.contact.memory import Memory, first_memory, remembered
+from jaxrb.contact.point_memory import first_points, remembered_points
 from jaxrb.contact.problem import Problem, world_inertia
 from jaxrb.contact.report import ContactReport, first_report, reported
 from jaxrb.contact.solver import Solution, default_tolerance
+from jaxrb.contact.sparse import default_tolerance as sparse_tolerance
 from jaxrb.contact.surfaces import Meeting, Obstacle
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.effects.surfaces import Kind
+from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.safe import norm
 from jaxrb.math.vector import dot, matvec
@@ -46,21 +51,47 @@ class ContactStep(eqx.Module):
     kinds: tuple[Kind, ...]
     obstacles: tuple[Obstacle, ...]
     radius: Scalar  # (n,) [m] of a ball about each centre of mass that holds the shape
-    meetings: tuple[Meeting, ...] = eqx.field(static=True)
+    pairs: tuple[Meeting, ...] = eqx.field(static=True)
+    crowds: tuple[Crowd, ...]
     count: int = eqx.field(static=True)
+
+    @property
+    def meetings(self) -> tuple[Meeting, ...]:
+        """The pairs of bodies that may ever touch.
+
+        Raises:
+            WrongStructure: of a crowd, whose pairs are not listed.
+        """
+        if self.crowds:
+            raise WrongStructure(
+                f"RigidContact: {self.count} bodies that meet each other are a crowd, whose pairs are found in each "
+                "step anew; runs that look into single pairs cannot have them: use rb.rollout, or solver='newton'"
+            )
+        return self.pairs
+
+    @property
+    def room(self) -> int:
+        """Points of a crowd that may press at a time."""
+        return room_for_points(self.kinds, self.obstacles, self.crowds)
 
     def first_memory(self, state: State) -> Carried:
         """What is carried into the first step."""
-        looked = jax.eval_shape(lambda s: self._detected(s, jnp.zeros(self.count, s.dtype), None), state)
-        slots = looked.contacts.active.shape[1]
-        memory = first_memory(self.obstacles, self.meetings, slots, state.dtype)
+        if self.crowds:
+            return Carried(first_points(self.room, state.dtype), first_report(state.dtype))
+        pairs = [(self.kinds[obstacle.kind].shape, obstacle.shape) for obstacle in self.obstacles]
+        pairs += [
+            (self.kinds[one].shape, self.kinds[other].shape)
+            for one, other in (m.kinds for m in self.meetings)
+        ]
+        points = max(slots(*pair) for pair in pairs)
+        memory = first_memory(self.obstacles, self.meetings, points, state.dtype)
         return Carried(memory, first_report(state.dtype))
 
     def resolved(
         self, dynamics: Any, old: State, free: State, dt: Scalar, carried: Carried
     ) -> tuple[State, Carried]:
         """The state after the step in which contact has had its say."""
-        detected = self._detected(old, self._reach(old, free, dt), carried.memory)
+        detected = self.detected(old, free, dt, carried.memory)
         problem, spin = self._problem(dynamics, old, free, detected, dt)
         start = jnp.concatenate([old.velocity, old.orientation.rotate(old.angular_velocity)], axis=1)
         if problem.contacts.restitution is None:
@@ -70,11 +101,20 @@ class ContactStep(eqx.Module):
             course, found = self._rounds(problem, start, detected.start, dt)
         new = self._moved(dynamics, old, free, problem, course, found, spin, dt)
         report = reported(carried.report, problem, start, course, found)
-        memory = remembered(detected.contacts, detected.chosen, found.impulse)
+        if self.crowds:
+            memory = remembered_points(detected.chosen, found.impulse)
+        else:
+            memory = remembered(detected.contacts, detected.chosen, found.impulse)
         return new, Carried(memory, report.noting(detected.overflow))
 
-    def _detected(self, state: State, reach: Scalar, memory: Memory | None) -> Detected:
-        return detect(self.rules, self.kinds, self.obstacles, self.meetings, state, reach, memory)
+    def detected(self, old: State, free: State, dt: Scalar, memory: Any) -> Detected:
+        """The points that may touch in the step, and the impulses from which their solve starts."""
+        reach = self._reach(old, free, dt)
+        if self.crowds:
+            spun = free.orientation.rotate(free.angular_velocity)
+            motion = jnp.concatenate([free.velocity, spun], axis=1)
+            return detect_crowd(self, old, reach, motion, dt, memory)
+        return detect(self.rules, self.kinds, self.obstacles, self.meetings, old, reach, memory)
 
     def _problem(
         self, dynamics: Any, old: State, free: State, detected: Detected, dt: Scalar
@@ -104,9 +144,8 @@ class ContactStep(eqx.Module):
 
     def _tolerance(self, dtype: Any, last: Any) -> Scalar:
         """Of a solve. What a blow misses is energy for good; a resting force is put right in the next step."""
-        resting = min(
-            (r.tolerance for r in self.rules if r.tolerance is not None), default=default_tolerance(dtype)
-        )
+        default = sparse_tolerance(dtype) if self.crowds else default_tolerance(dtype)
+        resting = min((r.tolerance for r in self.rules if r.tolerance is not None), default=default)
         blow = max(_BLOW * resting, 4 * float(jnp.finfo(dtype).eps))
         return jnp.asarray(resting if last is None else jnp.where(last, resting, blow), dtype)
 
@@ -131,7 +170,7 @@ class ContactStep(eqx.Module):
             problem,
             (contacts, bias, problem.free + course.jump, tolerance),
         )
-        found = solve(own, lax.stop_gradient(warm))
+        found = (solve_crowd if self.crowds else solve)(own, lax.stop_gradient(warm))
         if last is not None:
             scale = jnp.where(last, 1.0, impact_scale(own, found, weight, start, problem.free, dt))
             impulse = scale * found.impulse

@@ -184,6 +184,29 @@ def spheres_216(elastic: bool = False, seed: int = 0, capacity: int | None = Non
     return Example("spheres_216", "216 smooth balls (SimBenchmark 666)", scene, start, 2.0, 5e-3)
 
 
+def sphere_box(count: int = 1000, friction: float | None = 0.3, seed: int = 0) -> Example:
+    """Balls of 10 cm, a little apart, that fall into a heap in an open box as wide as they are high."""
+    radius, side = 0.05, math.ceil(count ** (1 / 3))
+    random, apart = np.random.default_rng(seed), 2.1 * 0.05
+    cells = np.array([(i, j, k) for k in range(side) for j in range(side) for i in range(side)], float)[
+        :count
+    ]
+    position = apart * (cells + 0.5) + random.uniform(-0.02, 0.02, (count, 3)) * radius
+    walls = (
+        HalfSpace(),
+        HalfSpace((1.0, 0.0, 0.0), 0.0), HalfSpace((-1.0, 0.0, 0.0), -side * apart),
+        HalfSpace((0.0, 1.0, 0.0), 0.0), HalfSpace((0.0, -1.0, 0.0), -side * apart),
+    )  # fmt: skip
+    effects = (
+        GRAVITY,
+        RigidContact(walls, friction=friction),
+        RigidContact(friction=friction, solver="sparse"),
+    )
+    ball = Body.from_shape(Sphere(radius), density=1000.0)
+    scene = Scene(replicate(ball, count), effects)
+    return Example("sphere_box", f"{count} balls in a box", scene, {"position": position.tolist()}, 1.5, 5e-3)
+
+
 def cube_toss() -> Example:
     """A cube thrown on a table, of the size and mass of that of the ContactNets recordings (Pfrommer et al. 2020)."""
     cube = Body.from_shape(Box((0.0524, 0.0524, 0.0524)), density=0.37 / 0.1048**3)
@@ -235,6 +258,6 @@ CONTACT_SCENES: dict[str, Callable[[], Example]] = {
     build.__name__: build
     for build in (
         bouncing_ball, billiard_break, slab_with_balls, block_on_incline, domino_row, stack_of_10, arch, pile_of_64,
-        spheres_216, cube_toss, spinning_coin, tippe_top,
+        spheres_216, sphere_box, cube_toss, spinning_coin, tippe_top,
     )
 }  # fmt: skip
