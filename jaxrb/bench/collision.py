@@ -10,7 +10,9 @@ import numpy as np
 
 from jaxrb.accuracy.timing import cpu_of_first, interleaved
 from jaxrb.collision import separation
+from jaxrb.collision.obb import oriented_boxes_gap
 from jaxrb.geometry import Box, ConvexHull, Pose, stack_hulls
+from jaxrb.geometry.bounds import OrientedBox
 from jaxrb.math import Quaternion
 
 PAIRS = 4096
@@ -25,7 +27,10 @@ def rows() -> Iterator[dict[str, Any]]:
     half = generator.uniform(0.3, 1.0, size=(2, PAIRS, 3))
     for state, reach in (("apart", 3.5), ("overlapping", 0.6)):
         shapes = [Box(jnp.asarray(h, dtype)) for h in half]
-        yield _row("box – box", state, shapes, _places(generator, reach, dtype), None)
+        poses = _places(generator, reach, dtype)
+        peer = _coal(lambda coal: [[coal.Box(*(2 * h)) for h in side] for side in half], poses)
+        yield _row("box – box", state, shapes, poses, peer)
+        yield _axes_row(state, shapes, poses)
     for corners in CORNERS:
         points = _on_sphere(generator, (2, 64, corners))
         hulls = [stack_hulls([ConvexHull(p) for p in side]) for side in points]
@@ -34,7 +39,26 @@ def rows() -> Iterator[dict[str, Any]]:
         ]
         for state, reach in (("apart", 2.3), ("overlapping", 0.6)):
             poses = _places(generator, reach, dtype)
-            yield _row(f"hulls of {corners}", state, shapes, poses, _coal(points, poses))
+            peer = _coal(lambda coal, points=points: [_coal_hulls(coal, side) for side in points], poses)
+            yield _row(f"hulls of {corners}", state, shapes, poses, peer)
+
+
+def _axes_row(state: str, shapes: Any, poses: Any) -> dict[str, Any]:
+    """The signed gap alone: exact where the boxes overlap, a lower bound of the distance where not."""
+    boxes = [OrientedBox(pose, shape.half_extents) for shape, pose in zip(shapes, poses)]
+    run = jax.jit(jax.vmap(oriented_boxes_gap))
+    slope = jax.jit(jax.vmap(jax.value_and_grad(oriented_boxes_gap)))
+    first = cpu_of_first(lambda: run(*boxes))
+    seconds = interleaved([lambda: run(*boxes), lambda: slope(*boxes)], rounds=5)
+    return {
+        "pair": "box – box, fifteen axes alone",
+        "state": state,
+        "µs a pair": seconds[0] / PAIRS * 1e6,
+        "with gradient, ratio": seconds[1] / seconds[0],
+        "first call [CPU s]": first,
+        "overlapping": float(jnp.mean(run(*boxes) < 0)),
+        "coal [µs]": None,
+    }
 
 
 def _row(pair: str, state: str, shapes: Any, poses: Any, peer: Callable[[], Any] | None) -> dict[str, Any]:
@@ -81,20 +105,13 @@ def _places(generator: np.random.Generator, reach: float, dtype: Any) -> tuple[P
     return one, other
 
 
-def _coal(points: np.ndarray, poses: tuple[Pose, Pose]) -> Callable[[], Any] | None:
+def _coal(built: Callable[[Any], Any], poses: tuple[Pose, Pose]) -> Callable[[], Any] | None:
     """The same pairs in coal, one after the other; None where it is not installed."""
     try:
         coal: Any = importlib.import_module("coal")
     except ImportError:
         return None
-    shapes = []
-    for side in points:
-        built = []
-        for corners in side:
-            vertices = coal.StdVec_Vec3s()
-            vertices.extend([np.asarray(v, float) for v in corners])
-            built.append(coal.Convex.convexHull(vertices, True, ""))
-        shapes.append(built)
+    shapes = built(coal)
     matrices = [np.asarray(pose.orientation.as_matrix(), float) for pose in poses]
     positions = [np.asarray(pose.position, float) for pose in poses]
     places = [[coal.Transform3s(m[i], p[i]) for i in range(_PEER_PAIRS)] for m, p in zip(matrices, positions)]
@@ -102,8 +119,18 @@ def _coal(points: np.ndarray, poses: tuple[Pose, Pose]) -> Callable[[], Any] | N
 
     def run() -> Any:
         for i in range(_PEER_PAIRS):
+            one, other = (side[i % len(side)] for side in shapes)
             result = coal.DistanceResult()
-            coal.distance(shapes[0][i % 64], places[0][i], shapes[1][i % 64], places[1][i], request, result)
+            coal.distance(one, places[0][i], other, places[1][i], request, result)
         return jnp.zeros(())
 
     return run
+
+
+def _coal_hulls(coal: Any, side: np.ndarray) -> list[Any]:
+    hulls = []
+    for corners in side:
+        vertices = coal.StdVec_Vec3s()
+        vertices.extend([np.asarray(v, float) for v in corners])
+        hulls.append(coal.Convex.convexHull(vertices, True, ""))
+    return hulls

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from jaxrb.collision import closed_forms, cores, features
 from jaxrb.collision.batch import search
+from jaxrb.collision.boxes import contact_of_boxes
 from jaxrb.collision.contact import Contact
 from jaxrb.collision.stages import Found
 from jaxrb.errors import WrongStructure
@@ -24,7 +25,8 @@ def separation(shape_a: Shape, pose_a: Pose, shape_b: Shape, pose_b: Pose) -> Co
     of the two shapes, never of world coordinates, and the answer of (b, a) is that of (a, b) with the sign of the
     normal changed, bit by bit.
 
-    Ways: formulas for half-spaces, spheres, capsules, and sphere with box; for all others GJK where they are apart.
+    Ways: formulas for half-spaces, spheres, capsules, and box with sphere or box; for all others GJK where they are
+    apart.
     Where polytopes overlap, branch and bound over arcs of normals gives their exact depth and proves it (`arcs.py`).
     Of smooth shapes that overlap (ellipsoid, cylinder, cone) the depth is a local minimum found from the best
     direction of inscribed polytopes; `upper` then is what these prove and `lower` what that direction proves, some
@@ -131,6 +133,8 @@ def _in_frame_of_a(shape_a: Shape, shape_b: Shape, rotation: Array, translation:
     if isinstance(shape_a, (Sphere, Capsule)) and isinstance(shape_b, (Sphere, Capsule)):
         half_a, half_b = (closed_forms.segment_of(shape) for shape in (shape_a, shape_b))
         return closed_forms.segments(half_a, half_b, rotation[:, 2], translation)
+    if isinstance(shape_a, Box) and isinstance(shape_b, Box):
+        return contact_of_boxes(shape_a, shape_b, rotation, translation)
     found = search(shape_a, shape_b, rotation, translation, swap)
     sides = []
     for k, (shape, r, t) in enumerate(((shape_a, None, None), (shape_b, rotation, translation))):

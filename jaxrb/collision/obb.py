@@ -51,11 +51,15 @@ class Axis(NamedTuple):
     scale: Any
 
 
-def fifteen_axes(half_a: Any, half_b: Any, r: Any, t: Any, in_b: Any, least: Any) -> list[Axis]:
+def fifteen_axes(
+    half_a: Any, half_b: Any, r: Any, t: Any, in_b: Any, least: Any, reach_along: bool = False
+) -> list[Axis]:
     """The axes of all faces of a (0–2) and b (3–5) and of the products of their edges (6 + 3i + j), by components.
 
-    `r[i][j]` is edge i of a · edge j of b; `t` and `in_b` the way from a to b along the edges of each. Products shorter
-    than √`least` have a gap of −∞.
+    `r[i][j]` is edge i of a · edge j of b; `t` and `in_b` the way from a to b along the edges of each. Products not
+    longer than √`least` have a gap of −∞. How far b reaches along a product follows from the third edges, to round-off
+    over the sine between the two; with `reach_along` it is formed along the product itself, to round-off for edges
+    however parallel.
     """
     a, b = half_a, half_b
     size = [[jnp.abs(x) for x in line] for line in r]
@@ -70,7 +74,12 @@ def fifteen_axes(half_a: Any, half_b: Any, r: Any, t: Any, in_b: Any, least: Any
             usable = squared > least
             scale = 1.0 / jnp.sqrt(jnp.where(usable, squared, 1.0))
             side = t[i2] * r[i1][j] - t[i1] * r[i2][j]
-            reach = a[i1] * size[i2][j] + a[i2] * size[i1][j] + b[j1] * size[i][j2] + b[j2] * size[i][j1]
+            reach = a[i1] * size[i2][j] + a[i2] * size[i1][j]
+            if reach_along:
+                along = [jnp.abs(r[i2][k] * r[i1][j] - r[i1][k] * r[i2][j]) for k in (j1, j2)]
+                reach = reach + b[j1] * along[0] + b[j2] * along[1]
+            else:
+                reach = reach + b[j1] * size[i][j2] + b[j2] * size[i][j1]
             found.append(Axis(jnp.where(usable, (jnp.abs(side) - reach) * scale, -jnp.inf), side, scale))
     return found
 

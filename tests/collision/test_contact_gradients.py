@@ -12,6 +12,7 @@ import jaxrb as rb
 GENERATOR = np.random.default_rng(3)
 KINDS = {
     "hulls": (rb.ConvexHull(GENERATOR.normal(size=(10, 3))), rb.ConvexHull(GENERATOR.normal(size=(12, 3)))),
+    "boxes": (rb.Box((0.4, 0.7, 0.5)), rb.Box((0.8, 0.3, 0.6))),
     "ellipsoids": (rb.Ellipsoid((0.4, 0.7, 1.1)), rb.Ellipsoid((0.8, 0.3, 0.6))),
     "capsule and plane": (rb.Capsule(0.3, 0.7), rb.HalfSpace((0.2, 0.1, 1.0), -0.4)),
 }
