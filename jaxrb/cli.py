@@ -1,9 +1,13 @@
 """The command line: `jaxrb demo | simulate | work-precision | plan | cost | scoreboard | fit | bench | hard-cases |
 gradient-check | view`."""
 
+import contextlib
 import importlib
 import json as json_text
+import os
 import sys
+import traceback
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -43,6 +47,7 @@ def bench(
         "bounds",
         "collision",
         "contact",
+        "crowd",
         "identification",
         "joints",
         "memory",
@@ -60,8 +65,9 @@ def bench(
         what: speed of steps and gradients; the closed form of free flight; all methods beside each other; stabilised
             Adams beside its peers; one body beside MuJoCo, diffrax and SciPy at equal error; whether a scene
             pays only for its effects; bounding volumes, the hierarchy of boxes and the broad phase; distances and
-            depths of pairs of shapes; boxes falling on a floor and on each other, beside MuJoCo; inertia from
-            a gyroscope beside the Cramér–Rao bound and MuJoCo; joints against closed forms and published mechanisms;
+            depths of pairs of shapes; boxes falling on a floor and on each other, beside MuJoCo; 100 to
+            10,000 balls in a box; inertia from a gyroscope beside the Cramér–Rao bound and MuJoCo; joints against
+            closed forms and published mechanisms;
             what `rb.memory` says beside what runs take.
         planner: instead, the time of the planner's picks over the best that a fine search finds, on a grid of scenes
             and tolerances (some minutes).
@@ -141,28 +147,58 @@ COMMANDS = {
 }
 
 
+@contextlib.contextmanager
+def _checks(in_full: bool) -> Iterator[None]:
+    """JAX's own checks of every program where they are asked for: each runs again, operation by operation, where NaN
+    came out of it, and what is traced is checked for consistency. Some times slower."""
+    import jax
+
+    if not in_full:
+        yield
+        return
+    with jax.debug_nans(True), jax.enable_checks(True):
+        yield
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Entry point of `jaxrb`. Exit codes: 0 done, 1 an error that jaxrb explains, 2 a wrong command line."""
     import jax
 
     arguments = sys.argv[1:] if arguments is None else arguments
-    x64 = "--float32" not in arguments
-    arguments = [argument for argument in arguments if argument not in ("--float32", "--x64")]
+    x64, debug = "--float32" not in arguments, "--debug" in arguments
+    arguments = [argument for argument in arguments if argument not in ("--float32", "--x64", "--debug")]
     # Importing every command for the sake of its help text would make each wait for all.
     chosen = {arguments[0]} & set(COMMANDS) if arguments else set()
     functions = {name: load() for name, load in COMMANDS.items() if not chosen or name in chosen}
     try:
-        with jax.enable_x64(x64):
+        with jax.enable_x64(x64), _checks(in_full=debug):
             tyro.extras.subcommand_cli_from_dict(
                 functions,
                 prog="jaxrb",
                 description="Differentiable rigid-body dynamics that is honest about its accuracy. Commands run in "
-                "float64 (--x64); add --float32 for float32.",
+                "float64 (--x64); add --float32 for float32, and --debug to have every result checked and be "
+                "shown where the first comes from that is no number.",
                 args=arguments,
                 config=(tyro.conf.PositionalRequiredArgs,),
             )
+        sys.stdout.flush()
     except JaxrbError as error:
+        if debug:
+            traceback.print_exc()
         print(f"jaxrb: {error}", file=sys.stderr)
+        sys.exit(1)
+    except FloatingPointError as error:
+        if not debug:
+            raise
+        traceback.print_exc()
+        print(
+            f"jaxrb: --debug found a result that is no number: {error}; its place stands above",
+            file=sys.stderr,
+        )
+        sys.exit(1)
+    except BrokenPipeError:
+        # `jaxrb … | head`: nobody reads on. Python would complain once more when it closes what cannot be written.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
 
 

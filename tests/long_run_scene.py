@@ -1,12 +1,4 @@
-"""A small run with everything that is carried from step to step, for tests of its files; as a program, one to kill.
-
-    python long_run_scene.py FILE
-
-goes on from FILE, saves after every stretch, and says so.
-"""
-
-import sys
-import time
+"""A small run with everything that is carried from step to step, for tests of its files."""
 
 import jaxrb as rb
 
@@ -33,14 +25,3 @@ def touching():
     ball = rb.Body.from_shape(rb.Sphere(0.05), density=700.0)
     scene = rb.Scene(ball, (rb.UniformGravity(), rb.RigidContact(rb.HalfSpace(), friction=0.3)))
     return scene, scene.state(position=(0, 0, 0.06), velocity=(1.0, 0, 0), angular_velocity=(0.3, 0.2, 1.0))
-
-
-def told(done, _):
-    """Say how far the file is, and leave some time to be killed in."""
-    print(done, flush=True)
-    time.sleep(0.002)
-
-
-if __name__ == "__main__":
-    rb.run(*free(), steps=10**8, checkpoint=sys.argv[1], resume=True, progress=told, **SETTINGS)
-    sys.exit("it is to be killed before it gets here")

@@ -112,6 +112,15 @@ def test_effects_that_matter_together_are_not_both_dropped(dtype):
     assert "needed" in found.summary()
 
 
+def test_a_scene_that_a_program_in_float32_holds_is_judged_in_float64(dtype):
+    """What JAX keeps of the scene's arrays in one precision must not reach the other."""
+    brick = rb.Body.from_shape(rb.Box((0.10, 0.05, 0.02)), density=700.0)
+    scene = rb.Scene(brick, (rb.UniformGravity(), rb.QuadraticDrag(0.4, 0.02)))
+    held = jax.jit(rb.stepper(scene, dt=1e-3))  # as long as it lives, so does what JAX keeps
+    state = held(scene.state(angular_velocity=(0.0, 5.0, 0.1), dtype=dtype))
+    assert rb.recommend(scene, state, t1=0.2, tolerance=1e-2).dropped
+
+
 def test_recommendation_of_a_built_in_scene_chooses_its_own_steps():
     example = example_of("thrown_brick")
     found = rb.recommend(example.scene, example.state(), example.duration, 1e-3)

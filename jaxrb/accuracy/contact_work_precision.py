@@ -7,7 +7,6 @@ that it tends to the same law.
 """
 
 import dataclasses
-import importlib
 import importlib.util
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -19,6 +18,7 @@ import numpy as np
 from jax import lax
 
 from jaxrb.accuracy.contact_scenes import Case, cases_of
+from jaxrb.accuracy.mujoco_modules import mujoco_modules
 from jaxrb.accuracy.timing import interleaved
 from jaxrb.body.state import State
 from jaxrb.compilation import compiler_options
@@ -207,7 +207,7 @@ def _mujoco(case: Case, quick: bool) -> Iterator[tuple]:
     """MuJoCo's own rollout in C on one thread; nothing where it is not installed."""
     if importlib.util.find_spec("mujoco") is None:
         return
-    mujoco, threads = (importlib.import_module(name) for name in ("mujoco", "mujoco.rollout"))
+    mujoco, threads = mujoco_modules("rollout")
     # 1e5 steps of MuJoCo are as quick as 1e4 of others.
     for steps in (*STEPS[: 3 if quick else None], *(() if quick else (SAVES * 81920,))):
         dt = case.duration / steps

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrb.accuracy.reference import Errors, end_state, errors, extrapolated, in_float64
+from jaxrb.accuracy.reference import Errors, end_state, errors, extrapolated, in_float64, with_own_arrays
 from jaxrb.body.state import State
 from jaxrb.errors import InvalidInput
 from jaxrb.integrators.method import Method
@@ -93,7 +93,7 @@ def judge_of(scene: Scene, state: State, duration: float, tolerance: float) -> J
     Raises:
         InvalidInput: halving stops helping before that, because of round-off or chaos.
     """
-    method = RungeKutta4()
+    method, scene = RungeKutta4(), with_own_arrays(scene)
     with jax.enable_x64(True):
         start = in_float64(state)
         steps = max(8, first_steps(scene, state, method, duration))

@@ -73,6 +73,7 @@ def reference(scene: Scene, state: State, duration: float) -> Reference:
     Raises:
         RunFailed: the two do not agree at all, or the motion leaves the finite numbers.
     """
+    scene = with_own_arrays(scene)
     with jax.enable_x64(True):
         start = in_float64(state)
         answer = closed_form(scene, start, duration)
@@ -140,6 +141,7 @@ def errors(scene: Scene, state: State, exact: State) -> Errors:
     All are infinite where the state is not finite or its orientation is no rotation any more: an angle computed from
     NaN, or from the zero quaternion that a run beyond stability ends in, would look like no error at all.
     """
+    scene = with_own_arrays(scene)
     with jax.enable_x64(True):
         return Errors(*(float(x) for x in _errors(scene, in_float64(state), in_float64(exact))))
 
@@ -156,6 +158,15 @@ def _errors(scene: Scene, state: State, exact: State) -> tuple[Scalar, ...]:
     length = jnp.linalg.norm(state.orientation.as_quaternion_array(), axis=-1)
     sound = jnp.all(finite_per_body(state) & (jnp.abs(length - 1.0) < 1e-6))
     return tuple(jnp.where(sound, error, jnp.inf) for error in (attitude, position, relative))
+
+
+def with_own_arrays(scene: Scene) -> Scene:
+    """The same scene in host arrays that no program has seen, for a run in another precision.
+
+    JAX 0.10 keeps, by the array itself, what it made of a host array that a program held as a constant: a scene that
+    was built into a program in float32, as `stepper` under `jit` does, could not be run in float64 after it.
+    """
+    return jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, scene)
 
 
 def in_float64(state: State) -> State:

@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxrb.accuracy.mujoco_modules import mujoco_modules
 from jaxrb.accuracy.timing import cpu_of_first, interleaved
 from jaxrb.bench.peers import mujoco_version
 from jaxrb.body import Body, replicate
@@ -116,9 +117,7 @@ def _depth(position: Any, wxyz: Any) -> float:
 
 def _mujoco_job(boxes: int, places: Any, steps: int) -> Any:
     """A call that runs all worlds in MuJoCo on one thread and returns the last poses (worlds, boxes, 7)."""
-    import importlib
-
-    mujoco, threads = (importlib.import_module(name) for name in ("mujoco", "mujoco.rollout"))
+    mujoco, threads = mujoco_modules("rollout")
     bodies = "".join(
         f'<body><freejoint/><geom type="box" size="{_HALF} {_HALF} {_HALF}" density="{_DENSITY}"/></body>'
         for _ in range(boxes)

@@ -5,12 +5,11 @@ not needed for one body, so the residual is written here: a free body, RK4, five
 and the first spin.
 """
 
-import importlib
-
 import numpy as np
 
-mujoco = importlib.import_module("mujoco")
-minimize, rollout = importlib.import_module("mujoco.minimize"), importlib.import_module("mujoco.rollout")
+from jaxrb.accuracy.mujoco_modules import mujoco_modules
+
+mujoco, minimize, rollout = mujoco_modules("minimize", "rollout")
 
 _MODEL = """<mujoco><option gravity="0 0 0" integrator="RK4" timestep="{step}"><flag contact="disable"/></option>
 <worldbody><body name="b"><freejoint/><inertial pos="0 0 0" mass="1" fullinertia="{inertia}"/></body></worldbody>

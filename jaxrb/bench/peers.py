@@ -3,9 +3,10 @@
 import dataclasses
 import time
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+
+from jaxrb.accuracy.mujoco_modules import mujoco_modules
 
 NOT_INSTALLED = 'not measured: MuJoCo is not installed; pip install "jaxrb[bench]"'
 MUJOCO_INTEGRATORS = ("Euler", "implicitfast", "RK4")
@@ -39,12 +40,6 @@ def mujoco_version() -> str | None:
     return mujoco.__version__
 
 
-def _mujoco() -> tuple[Any, Any]:
-    import importlib
-
-    return importlib.import_module("mujoco"), importlib.import_module("mujoco.rollout")
-
-
 def mujoco_run(
     mass: float,
     moments: np.ndarray,
@@ -62,7 +57,7 @@ def mujoco_run(
     `gravity` [m/s²] is along z, negative downwards. MuJoCo sorts `diaginertia` axes only for full tensors, so its body
     frame is ours.
     """
-    mujoco, rollout = _mujoco()
+    mujoco, rollout = mujoco_modules("rollout")
     text = " ".join(repr(float(moment)) for moment in moments)
     model = mujoco.MjModel.from_xml_string(
         _MODEL.format(dt=dt, integrator=integrator, gravity=gravity, mass=float(mass), moments=text)

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrb.accuracy.mujoco_modules import mujoco_modules
 from jaxrb.accuracy.reference import end_state
 from jaxrb.bench.adams import GRAVITY, MGR, MOMENTS
 from jaxrb.body.body import Body, replicate
@@ -233,7 +234,7 @@ _MODEL = """
 
 
 def _mujoco(motion: Motion) -> Iterator[Run]:
-    mujoco, rollout = importlib.import_module("mujoco"), importlib.import_module("mujoco.rollout")
+    mujoco, rollout = mujoco_modules("rollout")
     # Held at a point: r from it to the centre of mass, and the inertia about that. Gravity's torque is z × m g r.
     r = np.asarray(motion.moment) / GRAVITY
     tensor = np.diag(motion.moments) - (r @ r * np.eye(3) - np.outer(r, r))

@@ -52,6 +52,7 @@ class Body(Checked):
         if self.freedom.angular or not isinstance(self.inertia, Inertia):  # else no equation contains it
             self.inertia = valid_inertia(self.inertia, where="Body.inertia")
         _check_axes(self)
+        _share(self)
 
     @classmethod
     def point(cls, mass: Scalar, shape: Any = None, name: str = "point") -> "Body":
@@ -108,7 +109,9 @@ class Body(Checked):
             raise InvalidInput(
                 f"Body.from_shape: density is {density!r} kg/m³, but must be positive and finite"
             )
-        return cls.from_mass_properties(shape.mass_properties(density), shape, name)
+        with np.errstate(over="ignore", invalid="ignore"):  # a mass that is no number is refused as such
+            properties = shape.mass_properties(density)
+        return cls.from_mass_properties(properties, shape, name)
 
     @classmethod
     def from_mesh(
@@ -165,6 +168,27 @@ def _check_axes(body: Body) -> None:
         raise WrongStructure(
             f"Body: the bodies axes differ: {said}; give one body's numbers and use rb.replicate, or the axis to all"
         )
+
+
+def _share(body: Body) -> None:
+    """Give each body of a bodies axis the one centre of mass, and the one simple shape, that serves all of them."""
+    axes = np.shape(body.mass)
+    if not axes:
+        return
+
+    def spread(value: Any, core: tuple[int, ...]) -> Any:
+        xp = np if isinstance(value, np.ndarray) else jnp
+        return xp.broadcast_to(value, (*axes, *core)) if np.ndim(value) == len(core) else value
+
+    object.__setattr__(body, "center_of_mass", spread(body.center_of_mass, (3,)))
+    shape: Any = body.shape
+    if not isinstance(shape, Checked) or hasattr(shape, "parts"):
+        return
+    cores = {field.name: field.metadata["quantity"]["core"] for field in quantities(type(shape))}
+    values = {name: value for name in cores if (value := getattr(shape, name)) is not None}
+    shared = {name: spread(value, cores[name]) for name, value in values.items()}
+    if any(shared[name] is not values[name] for name in shared):
+        object.__setattr__(body, "shape", dataclasses.replace(shape, **shared))
 
 
 def _check_solid(where: str, shape: Any) -> None:

@@ -17,10 +17,12 @@ def solver(inertia: Inertia) -> "InertiaSolver":
         inverse = stack(1.0 / i1, 1.0 / i2, 1.0 / i3)
         return PrincipalSolver(inertia, inverse, stack((i2 - i3) / i1, (i3 - i1) / i2, (i1 - i2) / i3))
     inertia = FullInertia(inertia.six())
-    xx, yy, zz, xy, xz, yz = components(inertia.components)
+    # In units of its trace: in float32 the cube of 1e-13 kg m², which a determinant is, would be no number.
+    trace = inertia.trace()
+    xx, yy, zz, xy, xz, yz = (part / trace for part in components(inertia.components))
     cofactor = [yy * zz - yz * yz, xx * zz - xz * xz, xx * yy - xy * xy]
     off = [xz * yz - xy * zz, xy * yz - xz * yy, xy * xz - xx * yz]
-    reciprocal = 1.0 / (xx * cofactor[0] + xy * off[0] + xz * off[1])
+    reciprocal = 1.0 / (trace * (xx * cofactor[0] + xy * off[0] + xz * off[1]))
     return FullSolver(inertia, stack(*(c * reciprocal for c in cofactor + off)))
 
 

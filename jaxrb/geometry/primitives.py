@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxrb.body import mass_properties as closed_form
 from jaxrb.body.mass_properties import MassProperties
-from jaxrb.checks import check_direction, quantity
+from jaxrb.checks import as_array, check_direction, quantity
 from jaxrb.errors import WrongStructure
 from jaxrb.geometry.shape import Shape
 from jaxrb.math.arrays import Scalar, Vector, components, stack
@@ -147,6 +147,10 @@ class Pose(eqx.Module):
 
     position: Vector
     orientation: Rotation
+
+    def __post_init__(self):
+        if isinstance(self.position, (list, tuple)):
+            self.position = as_array("Pose.position", self.position)
 
     @classmethod
     def identity(cls, dtype=None) -> "Pose":

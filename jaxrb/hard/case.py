@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from jaxrb.errors import JaxrbError, JaxrbWarning
+from jaxrb.hard.contact_peers import Flight
 from jaxrb.scene.path import Path
 
 Limits = Mapping[str, float]
@@ -36,7 +37,8 @@ class Case:
     `hard` says what is hard, `stable` what stability means here: the measure that `limit` bounds, by precision.
     `ends` is the status that is right: "ok", "flagged" by the run's status, or the name of the error that must refuse
     the input. `warns` is part of the warning that must be given; any other warning of jaxrb is a failure.
-    `peer`, if given, is the measure of the same flight in MuJoCo.
+    `peer`, if given, is the measure of the same flight in MuJoCo; `flight` is that flight for other engines, and
+    `of_peer` the measure of the states (k, n, 13) that they give.
     """
 
     name: str
@@ -48,6 +50,8 @@ class Case:
     ends: str = "ok"
     warns: str | None = None
     peer: Callable[[], float] | None = None
+    flight: Flight | None = None
+    of_peer: Callable[[np.ndarray], float] | None = None
 
 
 @dataclasses.dataclass(frozen=True)

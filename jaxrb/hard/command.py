@@ -7,8 +7,9 @@ import math
 import sys
 from typing import Any
 
-from jaxrb.bench import peers
+from jaxrb.bench.peers import NOT_INSTALLED, mujoco_version
 from jaxrb.hard.case import Case, Verdict, judge, precision
+from jaxrb.hard.contact_peers import NAMES, flown
 from jaxrb.hard.flight import VERY_LONG_STEPS, long_flip
 from jaxrb.hard.table import cases_named
 from jaxrb.tables import table
@@ -16,7 +17,9 @@ from jaxrb.tables import table
 _LONG = "intermediate-axis flip, long"
 
 
-def hard_cases(*, only: str | None = None, long: bool = False, json: bool = False) -> None:
+def hard_cases(
+    *, only: str | None = None, long: bool = False, peers: bool = False, json: bool = False
+) -> None:
     """Hard cases: what is hard, what it costs in digits, and whether the gradient survives. Exit code 1 if one fails.
 
     Rotation, springs, fields, derivatives, distances of shapes and contact at the inputs where formulas degenerate;
@@ -28,6 +31,7 @@ def hard_cases(*, only: str | None = None, long: bool = False, json: bool = Fals
     Args:
         only: those whose name contains this.
         long: 1e7 steps in the long run (a minute or so), not 1e5.
+        peers: also fly them in MJX and Brax, some minutes; JAXRB_PEERS_PYTHON names a Python that has them.
         json: print one JSON object instead of a table.
     """
     from tqdm import tqdm
@@ -36,15 +40,16 @@ def hard_cases(*, only: str | None = None, long: bool = False, json: bool = Fals
     if long:
         run = functools.partial(long_flip, VERY_LONG_STEPS)
         cases = tuple(dataclasses.replace(case, run=run) if case.name == _LONG else case for case in cases)
-    version = peers.mujoco_version()
+    version = mujoco_version()
     rows = []
     for case in tqdm(cases, disable=not sys.stderr.isatty(), leave=False, unit=" cases"):
         rows.append((case, judge(case), _peer(case) if version else None))
     failed = [verdict for _, verdict, _ in rows if not verdict.passed]
+    others = {engine: _in_other(engine, cases) for engine in NAMES} if peers else {}
     if json:
-        print(json_text.dumps(_plain(rows, version)))
+        print(json_text.dumps(_plain(rows, version, others)))
     else:
-        print(_report(rows, version))
+        print(_report(rows, version, others))
     if failed:
         sys.exit(1)
 
@@ -59,19 +64,43 @@ def _peer(case: Case) -> float | str | None:
         return f"refused: {str(error).splitlines()[0]}"
 
 
-def _plain(rows: list[tuple[Case, Verdict, Any]], version: str | None) -> dict[str, Any]:
+def _in_other(engine: str, cases: tuple[Case, ...]) -> dict[str, float | str]:
+    """The figure of each case that the engine can fly, by name; in words where it cannot be had."""
+    groups: dict[tuple, list[Case]] = {}
+    for case in cases:
+        if case.flight is not None:
+            groups.setdefault((case.flight.kind, len(case.flight.masses)), []).append(case)
+    found: dict[str, float | str] = {}
+    for group in groups.values():
+        answers = flown(engine, [case.flight for case in group if case.flight is not None])
+        for i, case in enumerate(group):
+            states = answers if isinstance(answers, str) else answers[i]
+            if isinstance(states, str):
+                found[case.name] = states
+            elif states is not None and case.of_peer is not None:
+                found[case.name] = case.of_peer(states)
+    return found
+
+
+def _plain(
+    rows: list[tuple[Case, Verdict, Any]], version: str | None, others: dict[str, dict[str, float | str]]
+) -> dict[str, Any]:
     found = [
-        verdict.as_dict() | {"hard": case.hard, "stable": case.stable, "mujoco": _json_number(other)}
+        verdict.as_dict()
+        | {"hard": case.hard, "stable": case.stable, "mujoco": _json_number(other)}
+        | {engine: _json_number(figures.get(case.name)) for engine, figures in others.items()}
         for case, verdict, other in rows
     ]
-    return {"precision": precision(), "mujoco": version or peers.NOT_INSTALLED, "cases": found}
+    return {"precision": precision(), "mujoco": version or NOT_INSTALLED, "cases": found}
 
 
 def _json_number(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _report(rows: list[tuple[Case, Verdict, Any]], version: str | None) -> str:
+def _report(
+    rows: list[tuple[Case, Verdict, Any]], version: str | None, others: dict[str, dict[str, float | str]]
+) -> str:
     lines = []
     for case, verdict, other in rows:
         line: dict[str, Any] = {
@@ -83,7 +112,10 @@ def _report(rows: list[tuple[Case, Verdict, Any]], version: str | None) -> str:
             "": "passed" if verdict.passed else "FAILED",
         }
         if version:
-            line["MuJoCo RK4"] = f"{other:.1e}" if isinstance(other, float) else other or ""
+            line["MuJoCo"] = _shown(other)
+        for engine, figures in others.items():
+            figure = figures.get(case.name)
+            line[NAMES[engine]] = "*" if isinstance(figure, str) else _shown(figure)
         lines.append(line | {"what is hard": case.hard})
     bad = [verdict for _, verdict, _ in rows if not verdict.passed]
     measures = dict.fromkeys(case.stable for case, _, _ in rows)
@@ -95,10 +127,18 @@ def _report(rows: list[tuple[Case, Verdict, Any]], version: str | None) -> str:
     notes = [f"  {v.name}: {v.note}." for _, v, _ in rows if v.note]
     parts += ["", "Notes:", *notes] if notes else []
     if version is None:
-        parts += ["", f"MuJoCo: {peers.NOT_INSTALLED}."]
+        parts += ["", f"MuJoCo: {NOT_INSTALLED}."]
+    for engine, figures in others.items():
+        said = dict.fromkeys(figure for figure in figures.values() if isinstance(figure, str))
+        parts += [f"* {NAMES[engine]}: {words}." for words in said]
     parts += ["", f"{len(rows) - len(bad)} of {len(rows)} passed in {precision()}."]
     parts += [f"FAILED {v.name}: {v.reason}" for v in bad]
     return "\n".join(parts)
+
+
+def _shown(figure: float | str | None) -> str:
+    """A peer's figure, or its words."""
+    return f"{figure:.1e}" if isinstance(figure, float) else str(figure or "")
 
 
 def _gradient(verdict: Verdict) -> str:

@@ -16,6 +16,7 @@ from jaxrb.bench.peers import mujoco_run
 from jaxrb.body.body import Body
 from jaxrb.body.state import State
 from jaxrb.hard.case import QUICK, Case, Measured, precision, rounded
+from jaxrb.hard.contact_peers import Flight
 from jaxrb.integrators.three_axis_splitting import ThreeAxisSplitting4
 from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.scene.flight import free_flight
@@ -234,6 +235,18 @@ def _mujoco(body: int) -> float:
     return _apart(run.orientation[-1], flights(precision())["answer"][0][body])
 
 
+def _flight(body: int) -> Flight:
+    """The same for other engines, with the numbers of float64."""
+    _, moments, spin = _ALL[body]
+    inertia = [[*map(float, moments), 0.0, 0.0, 0.0]]
+    return Flight("free", [1.0], (1, 1, 1), [(0, 0, 0)], spins=[spin], inertia=inertia, dt=DT, steps=STEPS)
+
+
+def _other(body: int, states: np.ndarray) -> float:
+    """The attitude error [rad] of states (k, 1, 13) that another engine gave."""
+    return _apart(states[-1, 0, 3:7], flights(precision())["answer"][0][body])
+
+
 def _case(body: int, name: str, hard: str) -> Case:
     run, gradient = functools.partial(_tumble, body), {"float64": 1e-9, "float32": 2e-2}
     figure = {"float64": 1e-10, "float32": 2e-3}
@@ -243,7 +256,9 @@ def _case(body: int, name: str, hard: str) -> Case:
     if name == "1000 rad/s":
         run, gradient = _fast, {"float64": 1e-5, "float32": 2e-2}
         stable = "attitude by the closed form [rad], also flown slower for longer; gradient right"
-    return Case(name, hard, stable, figure, run, gradient, peer=functools.partial(_mujoco, body))
+    return Case(name, hard, stable, figure, run, gradient, peer=functools.partial(_mujoco, body),
+        flight=_flight(body), of_peer=functools.partial(_other, body),
+    )  # fmt: skip
 
 
 def cases() -> tuple[Case, ...]:

@@ -19,6 +19,7 @@ from jaxrb.effects.gravity import UniformGravity
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.geometry.primitives import Box, Ellipsoid, HalfSpace
 from jaxrb.hard.case import QUICK, Case, Measured, precision, unannounced
+from jaxrb.hard.contact_peers import Flight, peers_of
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.scene.path import Path
 from jaxrb.scene.rollout import rollout
@@ -158,7 +159,9 @@ def _boxes(kind: str) -> tuple[Path, Any, Any]:
 
 def _lowest(radii: Any, turn: Any) -> float:
     """How far below its centre a turned ellipsoid reaches: √(dᵀ A² d), d the vertical as the body sees it."""
-    down = np.asarray(Quaternion.exp(np.asarray(turn, float)).unrotate(np.asarray((0.0, 0.0, 1.0))), float)
+    w, *u = _wxyz(turn)
+    down = np.asarray((0.0, 0.0, 1.0))
+    down = down + 2 * np.cross(np.cross(down, u) + w * down, u)
     return float(np.linalg.norm(np.asarray(radii) * down))
 
 
@@ -227,9 +230,31 @@ _LIMITS = {
 }
 
 
-def _case(name: str, hard: str, what: str, run: Any) -> Case:
+def _case(name: str, hard: str, what: str, run: Any, flight: Flight) -> Case:
     stable = _SAYS[what] + "; every state a number, or the status says where not; the derivative finite"
-    return Case(name, hard, stable, _LIMITS[what], run)
+    return Case(name, hard, stable, _LIMITS[what], run, **peers_of(flight, what))
+
+
+def _box_flight(row: tuple) -> Flight:
+    _, mass, place, turn, velocity, _ = row
+    return Flight("boxes", mass, [HALF] * 3, place, [_wxyz(t) for t in turn], velocity, dt=2e-3, steps=STEPS)
+
+
+def _round_flight(row: tuple) -> Flight:
+    _, radii, product, over, turn, velocity, spin, dt, _ = row
+    a, b, c = (r * r for r in radii)
+    inertia = [(b + c) / 5, (a + c) / 5, (a + b) / 5, product * (b + c) / 5, 0.0, 0.0]
+    return Flight(
+        "ellipsoid", [1.0], radii, [(0, 0, _lowest(radii, turn) + over)], [_wxyz(turn)], [velocity], [spin], [inertia],
+        dt, STEPS, 0.4,
+    )  # fmt: skip
+
+
+def _wxyz(turn: Any) -> np.ndarray:
+    """Of a rotation vector."""
+    angle = np.linalg.norm(turn)
+    axis = np.asarray(turn) / (angle or 1.0)
+    return np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * axis])
 
 
 def cases() -> tuple[Case, ...]:
@@ -243,11 +268,11 @@ def cases() -> tuple[Case, ...]:
 
     return (
         *(
-            _case(n, r[0], r[-1], functools.partial(boxes, i, r[-1]))
+            _case(n, r[0], r[-1], functools.partial(boxes, i, r[-1]), _box_flight(r))
             for i, (n, r) in enumerate(BOXES.items())
         ),
         *(
-            _case(n, r[0], r[-1], functools.partial(rounds, i, r[-1]))
+            _case(n, r[0], r[-1], functools.partial(rounds, i, r[-1]), _round_flight(r))
             for i, (n, r) in enumerate(ROUND.items())
         ),
     )

@@ -106,11 +106,11 @@ class RunFile:
             raise InvalidInput(f"{self.path}: {name} is {_short(value)} in its header, but must be a count")
         return value
 
-    def origin(self, name: str) -> Any:
-        """Something that the run began with.
+    def origin(self, name: str, kind: type = object) -> Any:
+        """Something that the run began with, a `kind`.
 
         Raises:
-            InvalidInput: the file could not hold it, and says why.
+            InvalidInput: the file could not hold it, and says why; or holds something else.
         """
         kept, missing = (self.header.get(part) for part in ("origin", "missing"))
         if not isinstance(kept, dict) or name not in kept:
@@ -121,7 +121,28 @@ class RunFile:
         arrays = [
             self._arrays[key] for i in range(len(self._arrays)) if (key := f"origin_{i}") in self._arrays
         ]
-        return decoded(kept[name], arrays, str(self.path))
+        made = decoded(kept[name], arrays, str(self.path))
+        if not isinstance(made, kind):
+            raise InvalidInput(
+                f"{self.path}: its {name} is a {type(made).__name__}, not a {kind.__name__}; rb.run did not write it"
+            )
+        return made
+
+    @contextmanager
+    def must_fit(self) -> Iterator[None]:
+        """While a program is made of what is in the file: that it cannot be made is the file's fault.
+
+        A checksum that is right says only that the bytes are those that somebody wrote.
+        """
+        try:
+            yield
+        except JaxrbError:
+            raise
+        except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
+            raise InvalidInput(
+                f"{self.path}: what is in it makes no run ({type(error).__name__}: {_short(str(error))}); was it "
+                "written by rb.run, with this scene?"
+            ) from error
 
     def tree(self, name: str, like: Any, rows: bool = False) -> Any:
         """The part `name` in the structure of `like`, an example of its shapes; `rows`: with a leading axis more."""

@@ -115,7 +115,8 @@ def check_time(time: np.ndarray, lengths: np.ndarray, source: str) -> None:
 
 def unit_and_continuous(wxyz: np.ndarray, lengths: np.ndarray, source: str) -> np.ndarray:
     """Unit quaternions whose sign does not jump within a toss (q and −q are the same rotation)."""
-    size = np.linalg.norm(wxyz, axis=1)
+    with np.errstate(over="ignore"):  # an infinite length is refused like any other that is not one
+        size = np.linalg.norm(wxyz, axis=1)
     off = np.abs(size - 1.0)
     worst = int(np.argmax(off))
     if off[worst] > _NORM_REFUSED:

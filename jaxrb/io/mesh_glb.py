@@ -39,7 +39,9 @@ def read_glb(where: str, data: bytes, max_triangles: int) -> Arrays:
             if total > max_triangles:
                 raise too_many(where, total, max_triangles)
             # A reflection turns the triangles inside out.
-            flipped = faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces
+            with np.errstate(divide="ignore", invalid="ignore"):  # of scales that are almost nothing
+                mirrored = np.linalg.det(matrix[:3, :3]) < 0
+            flipped = faces[:, ::-1] if mirrored else faces
             triangles.append(flipped + count)
             vertices.append(points @ matrix[:3, :3].T + matrix[:3, 3])
             count += len(points)

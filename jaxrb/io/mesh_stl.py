@@ -26,7 +26,7 @@ def read_stl(where: str, data: bytes, max_triangles: int) -> Arrays:
     """Every corner a vertex of its own; normals are ignored, since the order of the corners says them."""
     count = int.from_bytes(data[80:84], "little") if len(data) >= _HEADER else -1
     # Binary files may begin with the word "solid" too; only the length tells.
-    if len(data) == _HEADER + _RECORD * count:
+    if count >= 0 and len(data) == _HEADER + _RECORD * count:
         if count > max_triangles:
             raise too_many(where, count, max_triangles)
         corners = np.frombuffer(data, _FACET, count, _HEADER)["corners"].astype(float).reshape(-1, 3)

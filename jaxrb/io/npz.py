@@ -2,6 +2,8 @@
 
 import os
 import tempfile
+import tokenize
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -41,7 +43,8 @@ def read_arrays(path: Path, max_bytes: int, kinds: str = "iufU") -> dict[str, np
 def _read_array(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, kinds: str) -> np.ndarray:
     name = member.filename.removesuffix(".npy")
     try:
-        with archive.open(member) as stream:
+        # Headers that Python 2 wrote, or that hold odd text, are complained of by NumPy; what they say is checked here.
+        with archive.open(member) as stream, warnings.catch_warnings(action="ignore"):
             version = np.lib.format.read_magic(stream)
             reader = (
                 np.lib.format.read_array_header_1_0
@@ -56,9 +59,9 @@ def _read_array(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, k
                 f"{path}: field '{name}' is said to hold {shape} of {dtype}, which is no array of numbers "
                 f"or text that fits its {member.file_size} bytes."
             )
-        with archive.open(member) as stream:
+        with archive.open(member) as stream, warnings.catch_warnings(action="ignore"):
             return np.lib.format.read_array(stream, allow_pickle=False)
-    except ValueError as error:
+    except (ValueError, SyntaxError, tokenize.TokenError) as error:  # of a header that is no text of Python
         if isinstance(error, JaxrbError):
             raise
         raise InvalidInput(f"{path}: field '{name}' is not an array ({error}).") from error

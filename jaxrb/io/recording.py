@@ -114,7 +114,13 @@ class Recording:
             "specific_force": factor(FORCE_UNITS, specific_force_unit, "specific_force_unit", source),
             "internal_momentum": 1.0,
         }
-        arrays = {name: array * scales[name] for name, array in arrays.items()}
+        with np.errstate(over="ignore"):
+            arrays = {name: array * scales[name] for name, array in arrays.items()}
+        for name, array in arrays.items():
+            if not np.isfinite(array).all():
+                raise InvalidInput(
+                    f"{source}: field '{name}' leaves the floating range in SI units; is its unit right?"
+                )
         if "orientation" in arrays:
             arrays["orientation"] = unit_and_continuous(arrays["orientation"], lengths, source)
         if angular_velocity_frame not in ("body", "world"):

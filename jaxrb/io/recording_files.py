@@ -151,4 +151,5 @@ def _time_at_rate(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
             f"{path}: field 'length' adds up to {lengths.sum()} samples, but the arrays have {samples}. "
             "Is it cut?"
         )
-    return np.concatenate([np.arange(int(n)) / float(rate) for n in lengths])
+    with np.errstate(over="ignore"):  # times without end are refused as what they are
+        return np.concatenate([np.arange(int(n)) / float(rate) for n in lengths])

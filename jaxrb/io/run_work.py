@@ -49,7 +49,8 @@ class Work:
         self.at: tuple[Progress, list[Any]]  # in one, so that Ctrl-C finds both from the same moment
         self.status: Status | None = None
         self.written = -1  # steps done in the newest file
-        self.cost, self.since = 0.0, time.monotonic()
+        # What the newest file took to write [s], and when that was; the states saved in it.
+        self.cost, self.since, self.rows = 0.0, time.monotonic(), 0
 
     def begin(self, state: State, resume: bool) -> None:
         """At the first step, or where the file says."""
@@ -171,8 +172,14 @@ class Work:
         return Path(states.time, states, self.progress.state, status, self.scene, None, contact)
 
     def _write_if_due(self) -> None:
-        if (time.monotonic() - self.since) * self.overhead >= self.cost:
+        # A file holds all that was saved so far, and costs the more the more that is.
+        grown = max(1.0, self._rows() / max(self.rows, 1))
+        if (time.monotonic() - self.since) * self.overhead >= self.cost * grown:
             self._write_checkpoint()
+
+    def _rows(self) -> int:
+        """States saved so far."""
+        return sum(len(states.time) for states, _ in self.saved)
 
     def _write_checkpoint(self) -> None:
         if self.target is None or self.failed or self.done == self.written:
@@ -181,7 +188,7 @@ class Work:
         self._write(self.target, self.header)
         self.written = self.done
         self.since = time.monotonic()
-        self.cost = self.since - began
+        self.cost, self.rows = self.since - began, self._rows()
 
     def _write_failure(self) -> File | None:
         """The states before the stretch that failed, and at which step it did."""

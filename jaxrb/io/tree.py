@@ -12,6 +12,7 @@ from jaxrb.body.body import Body
 from jaxrb.body.freedom import Freedom
 from jaxrb.body.inertia import Inertia
 from jaxrb.body.state import State
+from jaxrb.checks import check_quantity, quantities
 from jaxrb.effects.effect import Effect
 from jaxrb.errors import InvalidInput, WrongStructure
 from jaxrb.geometry.connectivity import Connectivity
@@ -132,11 +133,20 @@ def _decoded(plain: Any, arrays: list[np.ndarray], where: str, classes: dict[str
 
 
 def _made(kind: type, fields: dict[str, Any], where: str) -> Any:
-    """An instance as it was: without the constructor, which would repair and convert what once was right already."""
+    """An instance as it was: without the constructor, which would repair and convert what once was right already.
+
+    The limits on its numbers are asked again: a right checksum says only that somebody wrote these bytes.
+    """
     wanted = {f.name for f in dataclasses.fields(kind)}  # pyright: ignore[reportArgumentType]
     if wanted != set(fields):
         off = sorted(wanted ^ set(fields))
         raise InvalidInput(f"{where}: a {kind.__name__} differs in {', '.join(off)}; another jaxrb wrote it")
+    for field in quantities(kind):
+        value = fields[field.name]
+        if value is not None:
+            if not isinstance(value, np.ndarray) or value.dtype.kind != "f":
+                raise InvalidInput(f"{where}: {kind.__name__}.{field.name} is no array of real numbers")
+            check_quantity(f"{where}: {kind.__name__}.{field.name}", value, **field.metadata["quantity"])
     made = object.__new__(kind)
     for name, value in fields.items():
         object.__setattr__(made, name, value)

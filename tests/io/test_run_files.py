@@ -1,11 +1,9 @@
-"""Long runs: the same bits however they are cut, interrupted, killed and gone on with; and nothing lost."""
+"""Long runs: the same bits however they are cut, interrupted and gone on with; and nothing lost.
 
-import os
-import pathlib
+Killed ones are in hard/test_safety.py.
+"""
+
 import resource
-import subprocess
-import sys
-import time
 
 import jax
 import jax.numpy as jnp
@@ -95,41 +93,6 @@ def test_no_steps_give_back_the_initial_state(flight, tmp_path):
     assert path.times.tolist() == [0.0]
     assert bool(path.status.ok)
     assert np.array_equal(path.final.angular_velocity, state.angular_velocity)
-
-
-def test_a_killed_run_goes_on_with_the_same_bits(flight, tmp_path):
-    """JAXRB_KILLS=200 kills that often and prints what was lost."""
-    kills = int(os.environ.get("JAXRB_KILLS", "2"))
-    scene, state, _ = flight
-    file, random = tmp_path / "run.npz", np.random.default_rng(kills)
-    lost, held, partial = [], 0, 0
-    folder = pathlib.Path(long_run_scene.__file__).parent
-    x64 = "1" if jax.config.jax_enable_x64 else "0"
-    for _ in range(kills):
-        with subprocess.Popen(
-            [sys.executable, "-m", "long_run_scene", str(file)],
-            cwd=folder, env={**os.environ, "JAX_ENABLE_X64": x64}, stdout=subprocess.PIPE, text=True,
-        ) as child:  # fmt: skip
-            assert child.stdout is not None
-            first = (
-                child.stdout.readline() + child.stdout.readline()
-            )  # compiled; now anything may be under way
-            time.sleep(random.uniform(0.0, 0.3))
-            child.kill()
-            said = [int(line) for line in (first + child.stdout.read()).split("\n")[:-1]]
-        partial += len(list(tmp_path.glob(".*.partial")))
-        if said and said[-1]:
-            held = RunFile(file, 2**30).number("done")
-            lost.append(max(0, said[-1] - held))
-            assert held >= said[-1]
-    print(
-        f"{kills} kills, {len(lost)} of them after a file was there, {partial} while one was written; {held} steps "
-        f"done, {max(lost)} steps lost at most of what was told"
-    )
-    assert held
-    resumed = whole(scene, state, steps=held + 100, checkpoint=file, resume=True)
-    assert_same_bits(resumed, whole(scene, state, steps=held + 100))
-    assert not list(tmp_path.glob(".*.partial"))
 
 
 # --- what cannot be written -------------------------------------------------------------------------------------------
