@@ -1,24 +1,22 @@
 """Compliant contact: bodies sink into each other a little and are pushed apart by a force of the depth."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.body.body import Body, count_of
 from jaxrb.body.mass_properties import MassProperties
 from jaxrb.body.state import State
+from jaxrb.body.validity import inertia_matrix
 from jaxrb.checks import is_concrete, quantities, quantity
+from jaxrb.effects.compliant_touching import Still, Touching
 from jaxrb.effects.effect import Effect, Wrench, check_indices
-from jaxrb.effects.surfaces import Kind, kinds_of, obstacles_of, placed, standing
+from jaxrb.effects.surfaces import kinds_of, obstacles_of
 from jaxrb.errors import InvalidInput, WrongStructure
-from jaxrb.geometry.primitives import Pose
-from jaxrb.geometry.shape import Shape
 from jaxrb.math.arrays import Scalar, Vector
-from jaxrb.math.vector import cross, dot
+from jaxrb.math.vector import dot
 
 # A corner of a solid yields at most about so many times as easily as the body as a whole: box and rod 4, disc 5.
 _CORNER = 4.0
@@ -39,11 +37,16 @@ class CompliantContact(Effect):
     velocity s is −μ F s/√(s² + s₀²): Coulomb's with its corner rounded, so that every derivative exists. It does not
     hold bodies still: under a load below μ F they creep, at less than about s₀.
 
+    A contact that is a small patch also resists turning: a torque −b F ω/√(ω² + ω₀²) against the relative angular
+    velocity, across the normal (rolling) and about it (spinning), with a length b [m] for each (Johnson 1985, "Contact
+    mechanics", sections 8.5 and 9.2). A solid ball that rolls slows down by 5/7 g b/r.
+
     * `against`: a `Shape`, a pair (shape, `Pose`), or several of these, at rest in the world; None: the bodies meet
       each other. Both may stand in a scene, with numbers of their own.
     * `stiffness` k [N/mⁿ] of one point: a box on its face has four. `exponent` n, at least 1: 1 a linear spring, 1.5
       two balls (Hertz). `dissipation` c [s/m] and `friction` μ [1]: None is not in the program.
     * `slip_speed` s₀ [m/s]: the smaller, the stiffer the equations, with a rate of μ g/s₀ for a body that rests.
+    * `rolling_resistance`, `spinning_resistance` b [m], None is not in the program; `turn_speed` ω₀ [rad/s].
     * `bodies`: those that take part, None all.
 
     Every pair of bodies that take part is looked at in every evaluation: for crowds take `RigidContact`. The potential
@@ -58,6 +61,9 @@ class CompliantContact(Effect):
     dissipation: Scalar | None = quantity((), nonnegative=True, unit="s/m", default=None, kw_only=True)
     friction: Scalar | None = quantity((), nonnegative=True, default=None, kw_only=True)
     slip_speed: Scalar = quantity((), positive=True, unit="m/s", default=1e-3, kw_only=True)
+    rolling_resistance: Scalar | None = quantity((), nonnegative=True, unit="m", default=None, kw_only=True)
+    spinning_resistance: Scalar | None = quantity((), nonnegative=True, unit="m", default=None, kw_only=True)
+    turn_speed: Scalar = quantity((), positive=True, unit="rad/s", default=1e-2, kw_only=True)
     bodies: tuple[int, ...] | None = eqx.field(static=True, default=None, kw_only=True)
 
     def __post_init__(self):
@@ -86,14 +92,14 @@ class CompliantContact(Effect):
         kinds = kinds_of("CompliantContact", bodies, chosen)
         own = [(k, tuple(m for m in kind.members if m in chosen)) for k, kind in enumerate(kinds)]
         if self.against is not None:
-            still = [_Still(k, members, *item) for item in self.against for k, members in own]
-            return _Touching(self, tuple(kinds), tuple(still), ())
+            still = [Still(k, members, *item) for item in self.against for k, members in own]
+            return Touching(self, tuple(kinds), tuple(still), ())
         pairs = []
         for at, (k, members) in enumerate(own):
             for other, others in own[at:]:
                 met = tuple((i, j) for i in members for j in others if i < j or k != other)
                 pairs += [((k, other), met)] if met else []
-        return _Touching(self, tuple(kinds), (), tuple(pairs))
+        return Touching(self, tuple(kinds), (), tuple(pairs))
 
     def wrench_on(self, bodies: MassProperties, state: State) -> Wrench:
         raise WrongStructure(
@@ -117,6 +123,21 @@ class CompliantContact(Effect):
         smooth = jnp.sqrt(dot(sliding, sliding) + self.slip_speed**2)
         return -(self.friction * pressing / smooth)[..., None] * sliding
 
+    @property
+    def resists_turning(self) -> bool:
+        """Whether there is a torque beside the force."""
+        return self.rolling_resistance is not None or self.spinning_resistance is not None
+
+    def turning_torque(self, pressing: Scalar, spin: Vector, normal: Vector) -> Vector:
+        """The torque (..., 3) [N m] against a relative angular velocity (..., 3) [rad/s]."""
+        about = dot(spin, normal)[..., None] * normal
+        total = jnp.zeros_like(spin)
+        for length, part in ((self.rolling_resistance, spin - about), (self.spinning_resistance, about)):
+            if length is not None:
+                smooth = jnp.sqrt(dot(part, part) + self.turn_speed**2)
+                total = total - (length * pressing / smooth)[..., None] * part
+        return total
+
     def rate(self, bodies: MassProperties, state: State) -> np.ndarray | float:
         """The fastest of spring, dissipation and friction at a corner, for bodies that meet as fast as they move."""
         numbers = None if self.bodies is None else np.asarray(self.bodies)
@@ -133,84 +154,14 @@ class CompliantContact(Effect):
             rates.append(_CORNER * 1.5 * float(self.dissipation) * k * depth**n * inverse)
         if self.friction is not None:
             rates.append(_CORNER * float(self.friction) * _WEIGHT / float(self.slip_speed) * mass * inverse)
+        if self.resists_turning:
+            length = max(
+                float(b) for b in (self.rolling_resistance, self.spinning_resistance) if b is not None
+            )
+            moments = np.linalg.eigvalsh(np.asarray(inertia_matrix(bodies.inertia), float))[..., 0]
+            least = (moments if numbers is None else moments[numbers]).min(initial=np.inf, where=moments > 0)
+            rates.append(length * _WEIGHT / float(self.turn_speed) * mass / least)
         return float(np.max(rates))
-
-
-class _Still(eqx.Module):
-    """Bodies of one kind against one shape that stands still."""
-
-    kind: int = eqx.field(static=True)
-    members: tuple[int, ...] = eqx.field(static=True)
-    shape: Shape
-    pose: Pose | None
-
-
-class _Touching(Effect):
-    """A law of contact with the shapes on which it acts. `pairs`: two kinds, and all pairs of their bodies."""
-
-    law: CompliantContact
-    kinds: tuple[Kind, ...]
-    still: tuple[_Still, ...]
-    pairs: tuple[tuple[tuple[int, int], tuple[tuple[int, int], ...]], ...] = eqx.field(static=True)
-
-    def wrench_on(self, bodies: MassProperties, state: State) -> Wrench:
-        with jax.named_scope("CompliantContact"):
-            force, turning = jnp.zeros_like(state.position), jnp.zeros_like(state.position)
-            spin = state.orientation.rotate(state.angular_velocity)
-
-            def lever(body: np.ndarray, points: Any) -> Vector:
-                return points.position - state.position[body][:, None]
-
-            def velocity(body: np.ndarray, points: Any) -> Vector:
-                return state.velocity[body][:, None] + cross(spin[body][:, None], lever(body, points))
-
-            for points, first, second in self._points(state):
-                relative = velocity(second, points)
-                if first is not None:
-                    relative = relative - velocity(first, points)
-                push = self._force(points, relative)
-                for body, sign in ((second, 1.0), (first, -1.0)):
-                    if body is not None:
-                        force = force.at[body].add(sign * jnp.sum(push, axis=1))
-                        turning = turning.at[body].add(
-                            sign * jnp.sum(cross(lever(body, points), push), axis=1)
-                        )
-            return Wrench(force, state.orientation.unrotate(turning))
-
-    def potential_energy_of(self, bodies: MassProperties, state: State) -> Scalar:
-        depths = [_depth(points) for points, _, _ in self._points(state)]
-        return sum((jnp.sum(self.law.stored_energy(depth)) for depth in depths), jnp.zeros((), state.dtype))
-
-    def _points(self, state: State) -> Iterator[tuple[Any, np.ndarray | None, np.ndarray]]:
-        """The points of each group (k, s), and the bodies from which and to which their normals point."""
-        from jaxrb.collision.touch import contact_points  # only scenes with contact load the collision floor
-
-        for one in self.still:
-            kind, members = self.kinds[one.kind], np.asarray(one.members, np.int32)
-            shape, pose = placed(kind, kind.rows(members), state, members)
-            still = standing(one.pose, state)
-            yield jax.vmap(contact_points, (None, None, 0, 0))(one.shape, still, shape, pose), None, members
-        for numbers, met in self.pairs:
-            sides = np.asarray(met, np.int32).T
-            both = [self.kinds[k] for k in numbers]
-            given = [
-                placed(kind, kind.rows(side), state, side) for kind, side in zip(both, sides, strict=True)
-            ]
-            yield jax.vmap(contact_points)(*given[0], *given[1]), sides[0], sides[1]
-
-    def _force(self, points: Any, relative: Vector) -> Vector:
-        """The force (k, s, 3) [N] on the second bodies, which move with `relative` (k, s, 3) past the first."""
-        normal = jnp.broadcast_to(points.normal[:, None], relative.shape)
-        along = dot(relative, normal)
-        pressing = self.law.normal_force(_depth(points), -along)
-        push = pressing[..., None] * normal
-        if self.law.friction is None:
-            return push
-        return push + self.law.friction_force(pressing, relative - along[..., None] * normal)
-
-
-def _depth(points: Any) -> Scalar:
-    return jnp.where(points.valid, -points.distance, 0.0)
 
 
 def _power(base: Scalar, exponent: Scalar) -> Scalar:

@@ -237,6 +237,40 @@ def test_block_slides_to_its_end_in_closed_form(tolerance):
     assert largest(path.final.velocity) < tolerance(float64=1e-9, float32=1e-5)
 
 
+def test_ball_rolls_and_spins_to_rest_in_closed_form(tolerance):
+    """v̇ = −5/7 g b/r of a solid ball that rolls; ω̇ = −5/2 g b/r² about the vertical; and their derivatives by b."""
+    radius, gravity, duration, roll, spin = 0.1, 10.0, 0.25, 0.004, 0.002
+    ball = rb.Body.from_shape(rb.Sphere(radius), 500.0)
+    depth = float(ball.mass) * gravity / 1e5
+    lever = radius - depth / 2  # the point is in the middle of the overlap
+
+    @jax.jit
+    def end(roll, spin):
+        law = rb.CompliantContact(
+            FLOOR,
+            stiffness=1e5,
+            exponent=1.0,
+            friction=0.5,
+            rolling_resistance=roll,
+            spinning_resistance=spin,
+        )
+        scene = rb.Scene(ball, (rb.UniformGravity((0.0, 0.0, -gravity)), law))
+        rolling = {"velocity": (1.0, 0.0, 0.0), "angular_velocity": (0.0, 1.0 / lever, 20.0)}
+        state = scene.state((0.0, 0.0, radius - depth), **rolling)
+        final = rb.rollout(scene, state, dt=1e-4, steps=2500, save_every=2500).final
+        return final.velocity[0, 0], final.orientation.rotate(final.angular_velocity)[0, 2]
+
+    lengths = (jnp.asarray(roll), jnp.asarray(spin))
+    (speed, turn), (speed_rate, turn_rate) = jax.jvp(end, lengths, (jnp.ones(()), jnp.ones(())))
+    slower = gravity / (lever + 0.4 * radius**2 / lever) * duration
+    slower_turn = 5 / 2 * gravity / radius**2 * duration
+    exact = tolerance(float64=1e-4, float32=1e-3)
+    assert abs(float(speed) - (1.0 - slower * roll)) < exact
+    assert abs(float(turn) - (20.0 - slower_turn * spin)) < 20 * exact
+    assert abs(float(speed_rate) + slower) < 10 * exact * slower
+    assert abs(float(turn_rate) + slower_turn) < 10 * exact * slower_turn
+
+
 def test_block_creeps_down_a_slope_that_would_hold_it(tolerance):
     """tan α = μ v/√(v² + s²) at the end: v = s tan α/√(μ² − tan² α)."""
     alpha, mu, slip = np.deg2rad(15.0), 0.5, 0.02
@@ -254,7 +288,10 @@ def test_block_creeps_down_a_slope_that_would_hold_it(tolerance):
 @pytest.fixture(scope="module")
 def collision():
     """Two spinning balls of unlike size that meet off centre, with everything the law has."""
-    law = rb.CompliantContact(stiffness=2e5, dissipation=0.1, friction=0.4, slip_speed=0.01)
+    law = rb.CompliantContact(
+        stiffness=2e5, dissipation=0.1, friction=0.4, slip_speed=0.01, rolling_resistance=1e-3,
+        spinning_resistance=5e-4, turn_speed=0.1,
+    )  # fmt: skip
     bodies = (BALL, rb.Body.from_shape(rb.Sphere(0.06), 3000.0))
     scene = rb.Scene(bodies, law)
     state = scene.state(
@@ -376,7 +413,13 @@ def test_what_is_none_is_not_in_the_program():
         state = scene.state()
         return len(jax.make_jaxpr(lambda s: scene.prepared(s.dtype).wrench(s))(state).eqns)
 
-    assert equations() < equations(dissipation=0.1) < equations(dissipation=0.1, friction=0.3)
+    both = {"dissipation": 0.1, "friction": 0.3}
+    assert (
+        equations()
+        < equations(dissipation=0.1)
+        < equations(**both)
+        < equations(**both, rolling_resistance=1e-3)
+    )
 
 
 @pytest.mark.parametrize(
