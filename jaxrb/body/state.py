@@ -1,10 +1,13 @@
 """Where bodies are and how they move."""
 
+import functools
+import operator
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from jaxrb.math.arrays import Array, Scalar, Vector
+from jaxrb.math.arrays import Array, Scalar, Vector, components
 from jaxrb.math.rotation import Rotation
 from jaxrb.math.vector import cross
 
@@ -48,14 +51,21 @@ def finite_per_body(state: State, before: State | None = None) -> Array:
 
     `before`: a state already looked at; numbers that are still the very same are not looked at again.
     """
-    parts = [
-        jax.tree.leaves((s.position, s.orientation, s.velocity, s.angular_velocity))
-        for s in (state, before)
-        if s
-    ]
-    known = {id(leaf) for leaf in parts[1]} if before is not None else set()
+    known = set() if before is None else {id(leaf) for leaf in _numbers(before)}
     total = jnp.zeros_like(state.position[..., 0])
-    for leaf in parts[0]:
+    for leaf in _numbers(state):
         if id(leaf) not in known:
-            total = total + jnp.sum(leaf, axis=tuple(range(total.ndim, leaf.ndim)))
+            total = total + _summed(leaf, leaf.ndim - total.ndim)
     return jnp.isfinite(total)
+
+
+def _numbers(state: State) -> list[Array]:
+    return jax.tree.leaves((state.position, state.orientation, state.velocity, state.angular_velocity))
+
+
+def _summed(leaf: Array, axes: int) -> Array:
+    """The sum over the last axes, by components: a sum over an axis of three is a loop of its own (14 against 10 % of a
+    Runge–Kutta step of 1000 free bodies)."""
+    if not axes:
+        return leaf
+    return functools.reduce(operator.add, [_summed(part, axes - 1) for part in components(leaf)])

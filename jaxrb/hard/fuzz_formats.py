@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxrb.errors import JaxrbError
+from jaxrb.hard import fuzz_models as models
 from jaxrb.hard import fuzz_mutations as spoil
 from jaxrb.io.checkpoint import FAILURE, RunFile
 from jaxrb.io.mesh import read_mesh
@@ -267,4 +268,6 @@ FORMATS: dict[str, Format] = {
     "glb": Format(".glb", _glb, (_of_glb, _of_glb, spoil.of_bytes), _read_mesh),
     "scene": Format(".py", lambda: [_SCENE], (spoil.of_text,), _read_scene),
     "checkpoint": Format(".npz", _checkpoints, (_of_header, _of_arrays, *_ARCHIVE), _read_checkpoint),
+    "mjcf": Format(".xml", models.mjcf, _TEXT, models.read_mjcf),
+    "urdf": Format(".urdf", models.urdf, _TEXT, models.read_urdf),
 }

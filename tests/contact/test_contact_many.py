@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxrb as rb
+from jaxrb.contact.detection import detect
 from jaxrb.contact.many import solve_all
 from jaxrb.contact.problem import Problem
 from jaxrb.contact.solver import solve_contacts
@@ -37,7 +38,9 @@ def problems(dtype) -> tuple[Problem, jax.Array]:
     def problem(state):
         dynamics = scene.prepared(dtype)
         contact = dynamics.contact
-        detected = contact._detected(state, jnp.full(COUNT, 0.02, dtype), contact.first_memory(state).memory)
+        parts = (contact.rules, contact.kinds, contact.obstacles, contact.meetings)
+        memory = contact.first_memory(state).memory
+        detected = detect(*parts, state, jnp.full(COUNT, 0.02, dtype), memory)
         return contact._problem(dynamics, state, state, detected, DT)[0], detected.start
 
     return jax.jit(jax.vmap(problem))(states)
