@@ -55,7 +55,8 @@ def test_energy_of_a_passive_scene_never_rises(name, tolerance):
     path, facts = run(example_of(name), duration=SMALL[name])
     energy = np.asarray(path.diagnostics.energy, float)
     scale = np.abs(energy).max()
-    assert np.diff(energy).max() < tolerance(float64=1e-6, float32=2e-4) * scale  # the top: 1.01e-4 of 7 mJ
+    # In float32 the top's largest rise is chance: 4e-5 to 5e-4 of its 7 mJ from nine starts a tenth of a per cent apart.
+    assert np.diff(energy).max() < tolerance(float64=1e-6, float32=1e-3) * scale
     assert facts["friction_work_j"] <= 1e-6 * scale
     assert facts["poor_steps"] == 0
     if name == "bouncing_ball":  # friction of its first blow acts on its radius, and no gap is added to that
