@@ -55,7 +55,7 @@ def test_energy_of_a_passive_scene_never_rises(name, tolerance):
     path, facts = run(example_of(name), duration=SMALL[name])
     energy = np.asarray(path.diagnostics.energy, float)
     scale = np.abs(energy).max()
-    # In float32 the top's largest rise is chance: 4e-5 to 5e-4 of its 7 mJ from nine starts a tenth of a per cent apart.
+    # In float32 the top's largest rise is chance: 4e-5 to 5e-4 of its 7 mJ from nine starts within a thousandth.
     assert np.diff(energy).max() < tolerance(float64=1e-6, float32=1e-3) * scale
     assert facts["friction_work_j"] <= 1e-6 * scale
     assert facts["poor_steps"] == 0
