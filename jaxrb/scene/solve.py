@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -73,8 +74,8 @@ def solve(
     adjoint = diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint
     times = run_times(state, t1, times)
     states, reason = _integrate(
-        scene, state, applied_torque(torque, state), jnp.asarray(t1, state.dtype), times, (rtol, atol), solver,
-        adjoint, max_steps=max_steps,
+        scene, state, applied_torque(torque, state), jnp.asarray(t1, state.dtype), times, (rtol, atol),
+        _Program.of(solver), _Program.of(adjoint), max_steps=max_steps,
     )  # fmt: skip
     final = jax.tree.map(lambda leaf: leaf[-1], states)
     if times is None:
@@ -108,6 +109,21 @@ def run_times(state: State, t1: Any, times: Any) -> Array | None:
     return jnp.asarray(times, state.dtype)
 
 
+class _Program(eqx.Module):
+    """A solver or adjoint of diffrax as an argument of a program: its arrays, and all else (implicit solvers hold
+    functions and marks), which is structure."""
+
+    numbers: Any
+    structure: Any = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, given: Any) -> "_Program":
+        return cls(*eqx.partition(given, eqx.is_array))
+
+    def whole(self) -> Any:
+        return eqx.combine(self.numbers, self.structure)
+
+
 def _integrate_states(
     scene: Scene,
     state: State,
@@ -115,8 +131,8 @@ def _integrate_states(
     t1: Scalar,
     times: Array | None,
     tolerances: tuple[float, float],
-    solver: Any,
-    adjoint: Any,
+    solver: "_Program",
+    adjoint: "_Program",
     *,
     max_steps: int,
 ) -> tuple[State, Array]:
@@ -145,14 +161,14 @@ def _integrate_states(
     saved = jnp.stack([state.time, t1]) if times is None else jnp.concatenate([times, t1[None]])
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(field),
-        solver,
+        solver.whole(),
         state.time,
         t1,
         None,
         (state.position, state.orientation, state.velocity, state.angular_velocity),
         saveat=diffrax.SaveAt(ts=saved),
         stepsize_controller=diffrax.PIDController(rtol=tolerances[0], atol=tolerances[1]),
-        adjoint=adjoint,
+        adjoint=adjoint.whole(),
         max_steps=max_steps,
         throw=False,
     )

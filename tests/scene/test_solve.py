@@ -87,3 +87,24 @@ def test_wrong_settings_are_refused(scene, start):
     for wrong in ({"t1": "soon"}, {"t1": (1.0, 2.0)}, {"t1": 1.0, "times": "often"}):
         with pytest.raises(rb.WrongStructure, match=list(wrong)[-1]):
             rb.solve(scene, start, **wrong)
+
+
+@pytest.mark.skipif(
+    not jax.config.read("jax_enable_x64"), reason="one program; the digits are those of float64"
+)
+def test_implicit_solvers_of_diffrax_are_taken():
+    """They hold functions and marks beside their numbers; the end is that of an explicit one, and has a derivative."""
+    scene = rb.Scene(rb.Body(1.0, (1.0, 2.0, 2.5)), (rb.UniformGravity(), rb.LinearDrag(50.0)))
+    state = scene.state(velocity=(1.0, 0.0, 0.0), angular_velocity=(0.1, 1.0, 0.1))
+
+    def end(velocity):
+        start = scene.state(velocity=velocity, angular_velocity=(0.1, 1.0, 0.1))
+        position = rb.solve(
+            scene, start, t1=0.5, solver=diffrax.Kvaerno5(), rtol=1e-8, atol=1e-10
+        ).final.position[0]
+        return position[0], position
+
+    explicit = rb.solve(scene, state, t1=0.5, rtol=1e-10, atol=1e-12).final.position[0]
+    (_, implicit), slope = jax.value_and_grad(end, has_aux=True)(state.velocity[0])
+    np.testing.assert_allclose(implicit, explicit, atol=1e-8)
+    assert abs(float(slope[0]) - (1 - np.exp(-25.0)) / 50.0) < 1e-8
