@@ -208,15 +208,18 @@ def _doubt_outside(shape: Any, center_of_mass: Any) -> None:
     if not lengths or not all(is_concrete(value) for value in (*lengths, center_of_mass)):
         return
     # Of points the farthest; of radii and heights their sum, which no shape exceeds.
-    reach = sum(
-        float(np.linalg.norm(np.atleast_1d(np.asarray(value, float)), axis=-1).max()) for value in lengths
-    )
-    away = float(np.linalg.norm(np.asarray(center_of_mass, float), axis=-1).max())
+    reach = sum(_farthest(value) for value in lengths)
+    away = _farthest(center_of_mass)
     if away > reach and not hasattr(shape, "normal"):
         warn(
             f"Body.center_of_mass lies {away:.3g} m from the origin of the {type(shape).__name__}, which reaches "
             f"{reach:.3g} m at most: outside the body; is it given in the shape's frame, in metres?"
         )
+
+
+def _farthest(points: Any) -> float:
+    with np.errstate(over="ignore"):  # what is farther than numbers reach is infinitely far
+        return float(np.linalg.norm(np.atleast_1d(np.asarray(points, float)), axis=-1).max())
 
 
 def replicate(body: Body, count: int) -> Body:

@@ -178,9 +178,14 @@ class FullInertia(Inertia):
 
 def symmetric_apply(six: Array, v: Vector) -> Vector:
     """Symmetric matrix, given by xx, yy, zz, xy, xz, yz, times a vector."""
-    xx, yy, zz, xy, xz, yz = components(six)
-    x, y, z = components(v)
-    return stack(xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z)
+    return stack(*symmetric_of(components(six), components(v)))
+
+
+def symmetric_of(six: Any, v: Any) -> tuple[Any, Any, Any]:
+    """The same of six and three components, of any shape."""
+    xx, yy, zz, xy, xz, yz = six
+    x, y, z = v
+    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
 
 
 def parallel_axis(offset: Vector) -> Array:

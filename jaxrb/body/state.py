@@ -64,8 +64,8 @@ def _numbers(state: State) -> list[Array]:
 
 
 def _summed(leaf: Array, axes: int) -> Array:
-    """The sum over the last axes, by components: a sum over an axis of three is a loop of its own (14 against 10 % of a
-    Runge–Kutta step of 1000 free bodies)."""
+    """The sum over the last axes, by components: a sum over an axis of three is a loop of its own (of a Runge–Kutta run
+    of 1000 free bodies the watch is 32 % so, and 24 % by components)."""
     if not axes:
         return leaf
     return functools.reduce(operator.add, [_summed(part, axes - 1) for part in components(leaf)])

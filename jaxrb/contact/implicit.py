@@ -26,7 +26,6 @@ from jaxrb.contact.many import solve_all
 from jaxrb.contact.names import SOLVED
 from jaxrb.contact.problem import Problem
 from jaxrb.contact.solver import Solution, compliance
-from jaxrb.contact.sparse import solve_sparse
 from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.vector import dot
@@ -52,6 +51,8 @@ def _rule(primals: Any, tangents: Any) -> Any:
 @jax.custom_jvp
 def solve_crowd(problem: Problem, start: Vector) -> Solution:
     """`solve_sparse`. Derivatives are refused by name: its dense linear system would have (6n)² numbers."""
+    from jaxrb.contact.sparse import solve_sparse  # other scenes need not load it
+
     return solve_sparse(problem, start)
 
 
@@ -81,14 +82,24 @@ def _tangents(numbers: Problem, change: Problem, rest: Any, found: Solution) -> 
         wanted = frozen + firm[..., None] * (against - lax.stop_gradient(against))
         return own.projected(wanted, own.bound(own.projected(wanted, None)))
 
+    joined: Any = None
+    if problem.joints is not None:
+        from jaxrb.contact import implicit_joints as joined  # only scenes with joints load it
+
+        size = joined.joint_impulses(problem, found)
+
     def unbalanced(numbers: Problem) -> Array:
         own = eqx.combine(numbers, rest)
         given = impulses(numbers, found.motion)
-        return own.momentum(found.motion - own.free) - own.contacts.impulse_on_bodies(given)
+        missing = own.momentum(found.motion - own.free) - own.contacts.impulse_on_bodies(given)
+        return missing.ravel() if joined is None else joined.unbalanced_joints(own, found, missing, size)
 
     _, excess = jax.jvp(unbalanced, (numbers,), (change,))
     matrix = _matrix(problem, _slopes(problem, frozen, firm))
-    motion = -jnp.linalg.solve(matrix, excess.ravel()).reshape(excess.shape)
+    if joined is not None:
+        matrix = joined.bordered(matrix, problem.joints)
+    solved = -jnp.linalg.solve(matrix, excess)
+    motion = solved[: found.motion.size].reshape(found.motion.shape)
     _, impulse = jax.jvp(impulses, (numbers, found.motion), (change, motion))
     return motion, impulse
 

@@ -50,5 +50,14 @@ def _cut(wanted: Vector, along: Scalar, normal: Vector, bound: Scalar) -> tuple[
     """The factor that brings the tangential part within the disc, and that part."""
     tangential = wanted - along[..., None] * normal
     length = safe_sqrt(jnp.sum(tangential * tangential, axis=-1))
-    outside = length > bound
-    return jnp.where(outside, divide(bound, jnp.where(outside, length, 1.0)), 1.0), tangential
+    return within(length, bound), tangential
+
+
+def within(length: Scalar, bound: Scalar) -> Scalar:
+    """The factor that brings a length to its bound where it is beyond it.
+
+    A disc of no radius holds nothing, not even its middle: else what does not slide yet would stick where nothing
+    presses.
+    """
+    outside = (length > bound) | (bound <= 0)
+    return jnp.where(outside, divide(bound, jnp.where(outside, length, 1.0)), 1.0)

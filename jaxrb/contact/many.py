@@ -25,7 +25,7 @@ _ROW = 32
 
 def solve_all(problem: Problem, start: Vector) -> Solution:
     """`solve_contacts` of a world, under any number of vmaps."""
-    if problem.contacts.lever_back is not None:
+    if problem.contacts.lever_back is not None or problem.joints is not None:
         return _solve_worlds(problem, start)
     bodies, blocks = _blocks_of_bodies(problem.contacts.incidence.lone)
     found = _solve_rows(*_one_by_one(problem, start, bodies, blocks))

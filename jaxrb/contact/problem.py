@@ -18,7 +18,8 @@ class Problem(eqx.Module):
 
     `mass` (n,), `inertia` (n, 3, 3) about the centre in W, and their inverses; `free` (n, 6) the motion without
     contact; `bias` (k, s) [m/s] the least normal velocity of each point; `tolerance` [1] of the answer, relative to the
-    largest velocity that contact takes away.
+    largest velocity that contact takes away. With `joints` M⁻¹ is that of bodies that hang together, and u changes only
+    as the joints let it.
     """
 
     contacts: Contacts
@@ -29,6 +30,7 @@ class Problem(eqx.Module):
     inverse_inertia: Array
     free: Array
     tolerance: Scalar
+    joints: Any = None  # `JointReactions`, which only scenes with joints load
 
     def momentum(self, motion: Array) -> Array:
         """M u (n, 6)."""
@@ -36,7 +38,11 @@ class Problem(eqx.Module):
 
     def response(self, impulse: Array) -> Array:
         """M⁻¹ p (n, 6)."""
-        return _applied(self.inverse_mass, self.inverse_inertia, impulse)
+        return _applied(self.inverse_mass, self.inverse_inertia, self.borne(impulse))
+
+    def borne(self, impulse: Array) -> Array:
+        """What the bodies feel (n, 6) of impulses on them: with what the joints make of them."""
+        return impulse if self.joints is None else self.joints.borne(impulse)
 
     def felt(self, impulse: Array) -> Scalar:
         """The largest velocity [m/s] that impulses on the bodies (n, 6) give to a body's centre or to a point."""
@@ -77,10 +83,15 @@ class Problem(eqx.Module):
 
     def mass_matrix(self) -> Array:
         """M (n, 6, 6) of each body."""
-        straight = self.mass[:, None, None] * jnp.eye(3, dtype=self.inertia.dtype)
-        none = jnp.zeros_like(straight)
-        rows = [jnp.concatenate(row, axis=2) for row in ((straight, none), (none, self.inertia))]
-        return jnp.concatenate(rows, axis=1)
+        return of_masses(self.mass, self.inertia)
+
+
+def of_masses(mass: Scalar, inertia: Array) -> Array:
+    """Matrices (n, 6, 6) of masses (n,) and inertias (n, 3, 3), or of the inverses of both."""
+    straight = mass[:, None, None] * jnp.eye(3, dtype=inertia.dtype)
+    none = jnp.zeros_like(straight)
+    rows = [jnp.concatenate(row, axis=2) for row in ((straight, none), (none, inertia))]
+    return jnp.concatenate(rows, axis=1)
 
 
 def world_inertia(dynamics: Any, orientation: Rotation) -> tuple[Array, Array]:

@@ -38,12 +38,17 @@ def default_tolerance(dtype: Any) -> float:
     return 1e-8 if jnp.finfo(dtype).bits == 64 else 1e-4
 
 
+def crowd_tolerance(dtype: Any) -> float:
+    """The same of a crowd, whose solve converges slowly (`contact/sparse.py`)."""
+    return 1e-4 if jnp.finfo(dtype).bits == 64 else 3e-3
+
+
 # The most steps of Newton, and products of the matrix in each. Of a row of falling dominoes 60 steps leave one step in
 # eight poor, 200 one in 500, for 2 % more time.
 _NEWTON_STEPS, _PRODUCTS = 200, 100
 _ROUGH, _EXACT = 1e-2, 1e-6  # relative errors of Newton's direction
 _SOFT = 1e-2  # compliance where the start is far from the answer
-_POOR = 1e-2  # residual over what contact takes away from which on a solve is called poor
+POOR = 1e-2  # residual over what contact takes away from which on a solve is called poor
 
 
 class Solution(eqx.Module):
@@ -113,7 +118,7 @@ def solve_contacts(problem: Problem, start: Vector) -> Solution:
     unknown = jnp.where(taken > 0, jnp.inf, 0.0).astype(motion.dtype)
     carry = (none, motion, velocity, start, jnp.ones((), bool), softness, unknown, unknown, none)
     count, _, _, held, _, _, _, residual, products = lax.while_loop(going, step, carry)
-    poor = residual > jnp.maximum(_POOR * taken, tolerance)
+    poor = residual > jnp.maximum(POOR * taken, tolerance)
     held = jnp.where(poor, passive_share(problem, held), 1.0) * held
     # By the impulses themselves, so that momentum is kept to round-off whatever the tolerance.
     return Solution(problem.moved_by(held), held, residual, poor, count, products)
@@ -159,6 +164,7 @@ class _Given(NamedTuple):
             wanted = problem.wanted(held, self.velocity, self.stiffness)
             impulse = problem.projected(wanted, problem.bound(held))
             gap = problem.momentum(self.motion - problem.free) - problem.contacts.impulse_on_bodies(impulse)
+            gap = problem.borne(gap)  # of what joints bear only round-off would be seen below
             # As velocities of the points: impulses that share a load in another way move nothing.
             change = problem.felt(problem.contacts.impulse_on_bodies(impulse - held))
             off = problem.felt(gap)
@@ -239,6 +245,12 @@ def _newton_direction(problem: Problem, bend: Array, right: Array, tolerance: Sc
         return problem.momentum(direction) + c.impulse_on_bodies(pull)
 
     inverse = inverted(problem.mass_matrix() + c.blocks(bend))
+    if problem.joints is not None:
+        # Among motions that open no joint: these are kept by the blocks, once a residual is rid of the joints' part.
+        joints = problem.joints.against(inverse)
+        right = joints.borne(right)
+        free = apply
+        apply = lambda direction: joints.borne(free(direction))  # noqa: E731
     if c.lever_back is None:
         # Bodies that touch only what stands still do not know of each other.
         return multiplied(inverse, right), jnp.zeros((), jnp.int32)

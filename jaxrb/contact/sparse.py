@@ -20,8 +20,10 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import lax
 
+from jaxrb.body.inertia import symmetric_of
+from jaxrb.contact.law import within
 from jaxrb.contact.problem import Problem
-from jaxrb.contact.solver import Solution, passive_share, speed_to_take
+from jaxrb.contact.solver import POOR, Solution, passive_share, speed_to_take
 from jaxrb.math.arrays import Array, Scalar, Vector, components, stack
 from jaxrb.math.safe import divide, safe_sqrt
 from jaxrb.math.vector import cross_of, dot_of
@@ -31,12 +33,6 @@ from jaxrb.math.vector import cross_of, dot_of
 _ROUNDS = 30
 # Momentum (age − 1)/age at most; and by how much the error may grow before it is forgotten.
 _OLDEST, _RISES = 10.0, 1.5
-_POOR = 1e-2  # residual over what contact takes away from which on a solve is called poor
-
-
-def default_tolerance(dtype: Any) -> float:
-    """Of the answer, relative to the largest velocity that contact takes away."""
-    return 1e-4 if jnp.finfo(dtype).bits == 64 else 3e-3
 
 
 def solve_sparse(problem: Problem, start: Vector) -> Solution:
@@ -77,7 +73,7 @@ def solve_sparse(problem: Problem, start: Vector) -> Solution:
     unknown = jnp.where(taken > 0, jnp.inf, 0.0).astype(motion.dtype)
     carry = (jnp.zeros((), jnp.int32), impulse, motion, impulse, motion, jnp.ones_like(unknown), unknown)
     count, impulse, *_, residual = lax.while_loop(going, round_, carry)
-    poor = residual > jnp.maximum(_POOR * taken, tolerance)
+    poor = residual > jnp.maximum(POOR * taken, tolerance)
     found = stack(*impulse).reshape(start.shape)
     found = jnp.where(poor, passive_share(problem, found), 1.0) * found
     none = jnp.zeros((), jnp.int32)
@@ -133,7 +129,7 @@ class _Points(NamedTuple):
             new = tuple(pressing * n for n in normal)
         else:
             length, most = safe_sqrt(dot_of(side, side)), self.friction * pressing
-            cut = jnp.where(length > most, divide(most, jnp.where(length > most, length, 1.0)), 1.0)
+            cut = within(length, most)
             new = tuple(pressing * n + cut * t for n, t in zip(normal, side, strict=True))
         change = tuple(x - y for x, y in zip(new, impulse, strict=True))
         normally = dot_of(change, normal)
@@ -181,7 +177,7 @@ def _bounds(
             continue
         times, *own = (column.at[bodies].get(mode="fill", fill_value=0) for column in (shared, *six))
         turned = [cross_of(arm, axis) for axis in frame]
-        answers = [_turned(own[1:], x) for x in turned]
+        answers = [symmetric_of(own[1:], x) for x in turned]
         for i in range(3):
             for j in range(3):
                 part = dot_of(turned[i], answers[j]) + (own[0] if i == j else 0.0)
@@ -205,18 +201,9 @@ def _masses(problem: Problem) -> tuple[Array, ...]:
     return problem.inverse_mass, xx, yy, zz, xy, xz, yz
 
 
-def _turned(six: Any, v: Any) -> Any:
-    xx, yy, zz, xy, xz, yz = six
-    return (
-        xx * v[0] + xy * v[1] + xz * v[2],
-        xy * v[0] + yy * v[1] + yz * v[2],
-        xz * v[0] + yz * v[1] + zz * v[2],
-    )
-
-
 def _response(masses: Any, impulse: Any) -> tuple[Array, ...]:
     """M⁻¹ p, six columns."""
-    return (*(masses[0] * p for p in impulse[:3]), *_turned(masses[1:], impulse[3:]))
+    return (*(masses[0] * p for p in impulse[:3]), *symmetric_of(masses[1:], impulse[3:]))
 
 
 def _at(motion: Array, bodies: Array, lever: Any) -> Any:

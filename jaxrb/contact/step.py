@@ -14,16 +14,13 @@ from jax import lax
 
 from jaxrb.body.state import State
 from jaxrb.collision.touch import slots
-from jaxrb.contact.crowd import Crowd, detect_crowd, room_for_points
 from jaxrb.contact.detection import Detected, detect
 from jaxrb.contact.impact import Course, closing, first_course, impact_scale
 from jaxrb.contact.implicit import solve, solve_crowd
 from jaxrb.contact.memory import Memory, first_memory, remembered
-from jaxrb.contact.point_memory import first_points, remembered_points
-from jaxrb.contact.problem import Problem, world_inertia
+from jaxrb.contact.problem import Problem, of_masses, world_inertia
 from jaxrb.contact.report import ContactReport, first_report, reported
-from jaxrb.contact.solver import Solution, default_tolerance
-from jaxrb.contact.sparse import default_tolerance as sparse_tolerance
+from jaxrb.contact.solver import Solution, crowd_tolerance, default_tolerance
 from jaxrb.contact.surfaces import Meeting, Obstacle
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.effects.surfaces import Kind
@@ -52,7 +49,9 @@ class ContactStep(eqx.Module):
     obstacles: tuple[Obstacle, ...]
     radius: Scalar  # (n,) [m] of a ball about each centre of mass that holds the shape
     pairs: tuple[Meeting, ...] = eqx.field(static=True)
-    crowds: tuple[Crowd, ...]
+    crowds: tuple[
+        Any, ...
+    ]  # each a `Crowd`; what only they need (`contact/crowd.py`) is loaded for them alone
     count: int = eqx.field(static=True)
 
     @property
@@ -72,11 +71,15 @@ class ContactStep(eqx.Module):
     @property
     def room(self) -> int:
         """Points of a crowd that may press at a time."""
+        from jaxrb.contact.crowd import room_for_points
+
         return room_for_points(self.kinds, self.obstacles, self.crowds)
 
     def first_memory(self, state: State) -> Carried:
         """What is carried into the first step."""
         if self.crowds:
+            from jaxrb.contact.point_memory import first_points
+
             return Carried(first_points(self.room, state.dtype), first_report(state.dtype))
         pairs = [(self.kinds[obstacle.kind].shape, obstacle.shape) for obstacle in self.obstacles]
         pairs += [
@@ -102,6 +105,8 @@ class ContactStep(eqx.Module):
         new = self._moved(dynamics, old, free, problem, course, found, spin, dt)
         report = reported(carried.report, problem, start, course, found)
         if self.crowds:
+            from jaxrb.contact.point_memory import remembered_points
+
             memory = remembered_points(detected.chosen, found.impulse)
         else:
             memory = remembered(detected.contacts, detected.chosen, found.impulse)
@@ -111,6 +116,8 @@ class ContactStep(eqx.Module):
         """The points that may touch in the step, and the impulses from which their solve starts."""
         reach = self._reach(old, free, dt)
         if self.crowds:
+            from jaxrb.contact.crowd import detect_crowd
+
             spun = free.orientation.rotate(free.angular_velocity)
             motion = jnp.concatenate([free.velocity, spun], axis=1)
             return detect_crowd(self, old, reach, motion, dt, memory)
@@ -122,7 +129,10 @@ class ContactStep(eqx.Module):
         """The problem at the start of the step, and the angular momentum (n, 3) in W that the free step ends with."""
         c = detected.contacts
         spin = free.orientation.rotate(dynamics.inertia.inertia.apply(free.angular_velocity))
-        inertia, inverse = world_inertia(dynamics, old.orientation)
+        # Joints are closed, and moved along, at the end of the free step: only there do its velocities open none, and
+        # what the joints do then is no work.
+        pose, joints = (old, None) if dynamics.joints is None else (free, dynamics.joints)
+        inertia, inverse = world_inertia(dynamics, pose.orientation)
         motion = jnp.concatenate([free.velocity, matvec(inverse, spin)], axis=1)
         problem = Problem(
             c,
@@ -133,6 +143,7 @@ class ContactStep(eqx.Module):
             inverse,
             motion,
             self._tolerance(motion.dtype, None),
+            None if joints is None else joints.reactions(free, of_masses(dynamics.inverse_mass, inverse)),
         )
         return problem, spin
 
@@ -144,7 +155,7 @@ class ContactStep(eqx.Module):
 
     def _tolerance(self, dtype: Any, last: Any) -> Scalar:
         """Of a solve. What a blow misses is energy for good; a resting force is put right in the next step."""
-        default = sparse_tolerance(dtype) if self.crowds else default_tolerance(dtype)
+        default = crowd_tolerance(dtype) if self.crowds else default_tolerance(dtype)
         resting = min((r.tolerance for r in self.rules if r.tolerance is not None), default=default)
         blow = max(_BLOW * resting, 4 * float(jnp.finfo(dtype).eps))
         return jnp.asarray(resting if last is None else jnp.where(last, resting, blow), dtype)
@@ -205,13 +216,26 @@ class ContactStep(eqx.Module):
         spin: Vector,
         dt: Scalar,
     ) -> State:
-        impulse = problem.contacts.impulse_on_bodies(course.impulse)
+        impulse = problem.borne(problem.contacts.impulse_on_bodies(course.impulse))
         touched = jnp.any(impulse != 0, axis=-1)[:, None]
-        rests = jnp.any(problem.contacts.impulse_on_bodies(found.impulse) != 0, axis=-1)[:, None]
+        rests = jnp.any(problem.borne(problem.contacts.impulse_on_bodies(found.impulse)) != 0, axis=-1)[
+            :, None
+        ]
         velocity = free.velocity + course.jump[:, :3]
         straight = old.position + dt * velocity + (course.shift - dt * course.jump)[:, :3]
         turn = free.orientation.unrotate(course.shift[:, 3:])
         orientation = free.orientation @ type(free.orientation).exp(turn)
+        if problem.joints is not None:
+            # A limb that leans on another is turned by its weight in the free step, and comes to rest only so.
+            turned = dt * (problem.free + course.jump)[:, 3:] + (course.shift - dt * course.jump)[:, 3:]
+            steadily = type(old.orientation).exp(old.orientation.unrotate(turned))
+            orientation = jax.tree.map(
+                lambda straight, curved: jnp.where(
+                    rests.reshape(-1, *(1,) * (curved.ndim - 1)), straight, curved
+                ),
+                old.orientation @ steadily,
+                orientation,
+            )
         omega = dynamics.inertia.response(orientation.unrotate(spin + impulse[:, 3:]))
         return State(
             jnp.where(rests, straight, free.position + course.shift[:, :3]),

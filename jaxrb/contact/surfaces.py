@@ -71,7 +71,7 @@ def contact_of(bodies: tuple[Body, ...], effects: tuple[Effect, ...]) -> Any:
         )
     count = sum(count_of(body) or 1 for body in bodies)
     kinds = kinds_of("RigidContact", bodies, {i for rule in rules for i in rule.chosen(count)})
-    sparse = _sparse(rules, count)
+    sparse, together = _sparse(rules, count), _together(effects)
     obstacles, meetings, crowds = [], [], []
     for number, rule in enumerate(rules):
         chosen = set(rule.chosen(count))
@@ -80,9 +80,10 @@ def contact_of(bodies: tuple[Body, ...], effects: tuple[Effect, ...]) -> Any:
         if rule.against is None and sparse:
             from jaxrb.contact.crowd import crowd_of
 
+            _check_unjoined(effects)
             crowds += [crowd_of(number, rule, own)] if own else []
         elif rule.against is None:
-            meetings += _meetings(number, rule, own, count)
+            meetings += _meetings(number, rule, own, count, frozenset() if rule.joined else together)
         for shape, pose in rule.against or ():
             obstacles += [Obstacle(number, k, members, shape, pose) for k, members in own]
     if not obstacles and not meetings and not crowds:
@@ -90,6 +91,22 @@ def contact_of(bodies: tuple[Body, ...], effects: tuple[Effect, ...]) -> Any:
     return ContactStep(
         rules, tuple(kinds), tuple(obstacles), _radii(kinds, count), tuple(meetings), tuple(crowds), count
     )
+
+
+def _together(effects: tuple[Effect, ...]) -> frozenset[tuple[int, int]]:
+    """Pairs (lower, higher) of bodies that a joint holds together."""
+    joints: list[Any] = [effect for effect in effects if effect.joins]
+    pairs = [pair for joint in joints if joint.bodies[1] is not None for pair in joint.pairs(-1).tolist()]
+    return frozenset((min(a, b), max(a, b)) for a, b in pairs)
+
+
+def _check_unjoined(effects: tuple[Effect, ...]) -> None:
+    joints = [effect for effect in effects if effect.joins]
+    if joints:
+        raise WrongStructure(
+            f"RigidContact beside {type(joints[0]).__name__}: the sparse solve of a crowd does not know joints; ask "
+            "for solver='newton', or let fewer bodies meet each other (bodies=…)"
+        )
 
 
 def _sparse(rules: tuple[RigidContact, ...], count: int) -> bool:
@@ -116,14 +133,22 @@ def _radii(kinds: list[Kind], count: int) -> Scalar:
 
 
 def _meetings(
-    number: int, rule: RigidContact, own: list[tuple[int, tuple[int, ...]]], count: int
+    number: int,
+    rule: RigidContact,
+    own: list[tuple[int, tuple[int, ...]]],
+    count: int,
+    apart: frozenset[tuple[int, int]],
 ) -> list[Meeting]:
-    """The pairs of kinds that a rule lets touch."""
+    """The pairs of kinds that a rule lets touch, but for those (lower, higher) that are kept `apart`."""
     together = []
     for at, (k, members) in enumerate(own):
         for other, others in own[at:]:
             first, second = (side.ravel() for side in np.meshgrid(members, others, indexing="ij"))
             chosen = rule.may_touch(first, second) & ((first < second) | (k != other))
+            if apart:
+                chosen &= [
+                    (min(i, j), max(i, j)) not in apart for i, j in zip(first.tolist(), second.tolist())
+                ]
             if chosen.any():
                 together.append((k, other, np.stack([first[chosen], second[chosen]], 1).astype(np.int32)))
     total = sum(len(pairs) for *_, pairs in together)

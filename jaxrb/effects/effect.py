@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -44,6 +44,8 @@ def add(a: Vector | None, b: Vector | None) -> Vector | None:
 
 class Effect(Checked):
     """Something that acts on the bodies of a scene."""
+
+    joins: ClassVar[bool] = False  # a joint (`jaxrb/joints`, which only scenes that have one load)
 
     def check(self, count: int) -> None:
         """Refuse what does not fit a scene of `count` bodies."""

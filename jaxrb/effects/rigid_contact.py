@@ -28,6 +28,8 @@ class RigidContact(Effect):
       body's own holds.
     * `bodies`: those that take part, None all. `groups`, `masks`: a whole number a body read as bits; two bodies can
       touch where each one's mask holds a bit of the other's group. Pairs that cannot are not in the program.
+    * `joined`: whether two bodies that a joint holds together may touch. By default not, as in MuJoCo: limbs overlap at
+      their joint. Bodies with a joint between them and a third, or with one to the world, do touch.
     * `capacity`: most pairs of bodies near each other, by default six a body; a run in which there are more fails.
     * `recovery_speed` [m/s]: overlap (from the start, or by the curvature of a path) is pushed apart at most so fast.
     * `tolerance` [1]: of the solve, relative to the largest velocity that contact takes away; by default 1e-8 in
@@ -49,6 +51,7 @@ class RigidContact(Effect):
     capacity: int | None = eqx.field(static=True, default=None, kw_only=True)
     tolerance: float | None = eqx.field(static=True, default=None, kw_only=True)
     solver: str | None = eqx.field(static=True, default=None, kw_only=True)
+    joined: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __post_init__(self):
         super().__post_init__()

@@ -18,6 +18,7 @@ its threads wait for each other.
 import math
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -27,7 +28,9 @@ from jaxrb.math.arrays import Array
 
 _ROUNDS = 3
 _LEAST_WIDTH = 12  # of a block: below it the turns of the loop cost more than what is in them
-_DENSE = 48  # rows up to which one block is cheapest
+# Rows up to which one block is cheapest. Of more than 32 BLAS shares the work among threads, which then wait for each
+# other on a busy machine: a step of the doll (38 rows) takes 1.8 CPU ms as one block, 0.5 as blocks of 17.
+_DENSE = 30
 
 
 def ordered(one: np.ndarray, other: np.ndarray, count: int) -> tuple[np.ndarray, int]:
@@ -58,8 +61,14 @@ def ordered(one: np.ndarray, other: np.ndarray, count: int) -> tuple[np.ndarray,
     return place, count if count <= max(_DENSE, 2 * width) else width
 
 
-class Banded:
+class Banded(eqx.Module):
     """A symmetric matrix in blocks (m, w, w): on the diagonal, and `beside` each the one to its left (the first: 0)."""
+
+    diagonal: Array
+    beside: Array
+    _scale: Array
+    _inverse: Array
+    _tied: Array
 
     def __init__(self, diagonal: Array, beside: Array):
         self.diagonal, self.beside = diagonal, beside

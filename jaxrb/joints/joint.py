@@ -30,6 +30,7 @@ class Joint(Effect):
     positions and velocities are projected onto the joints, so that nothing drifts.
     """
 
+    joins: ClassVar[bool] = True
     free: ClassVar[str | None] = None  # unit of the free coordinate, None where there is none to speak of
 
     bodies: tuple[Any, Any] = eqx.field(static=True, kw_only=True)

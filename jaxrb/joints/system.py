@@ -8,8 +8,6 @@ smallest change in the metric of the kinetic energy (Lubich 1991; Eich 1993, SIA
 Only rows that share a body have an entry in J M⁻¹ Jᵀ; which they are is known when the program is traced.
 """
 
-import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -23,39 +21,15 @@ from jaxrb.body.freedom import Freedom, angular_mask, linear_mask
 from jaxrb.body.mass_properties import MassProperties
 from jaxrb.body.state import State
 from jaxrb.effects.effect import Wrench, add
-from jaxrb.joints.banded import Banded, blocked, ordered, unblocked
-from jaxrb.joints.joint import Joint
+from jaxrb.joints.banded import Banded, blocked, unblocked
+from jaxrb.joints.pattern import Pattern, pattern_of
+from jaxrb.joints.reactions import JointReactions, reactions
 from jaxrb.joints.rows import LengthRows, PointRows, Rows, TurnRows, joined, places
 from jaxrb.math.arrays import Array, Scalar, Vector
 
 # Of the size of a joint: what Newton's first round may leave. It squares the error, so the second leaves 1e-6 of it.
 _CLOSED = 1e-3
 _ASSEMBLING = 30  # rounds of Newton's method from a rough start
-
-
-@dataclasses.dataclass(frozen=True)
-class Pattern:
-    """Of the rows: their `bodies` (rows, 2); the `pairs` of rows that share a body, (row, row, side, side); the `place`
-    (rows,) of each in the blocks of the matrix, and their `width`."""
-
-    bodies: np.ndarray
-    pairs: tuple[np.ndarray, ...]
-    place: np.ndarray
-    width: int
-
-
-@functools.lru_cache(maxsize=64)
-def pattern_of(bodies: tuple[tuple[int, int], ...], count: int) -> Pattern:
-    """The pattern of rows between these bodies, of which there are `count`."""
-    array = np.asarray(bodies, np.int32)
-    found = []
-    for body in np.unique(array[array < count]):
-        row, side = np.nonzero(array == body)
-        i, j = (grid.ravel() for grid in np.meshgrid(np.arange(len(row)), np.arange(len(row))))
-        found.append(np.stack([row[i], row[j], side[i], side[j]]))
-    pairs = np.concatenate(found, axis=1).astype(np.int32)
-    place, width = ordered(pairs[0], pairs[1], len(array))
-    return Pattern(array, tuple(pairs), place, width)
 
 
 class JointSystem(eqx.Module):
@@ -70,9 +44,13 @@ class JointSystem(eqx.Module):
     )  # of each row: which joint effect, which of its joints
 
     @property
-    def pattern(self) -> "Pattern":
+    def pattern(self) -> Pattern:
         """Which rows meet, and in which order they are solved."""
-        return pattern_of(tuple(pair for part in self.parts for pair in part.bodies), self.count)
+        return pattern_of(self._pairs, self.count)
+
+    @property
+    def _pairs(self) -> tuple[tuple[int, int], ...]:
+        return tuple(pair for part in self.parts for pair in part.bodies)
 
     def wrench(self, dynamics: Any, state: State, free: Wrench) -> Wrench:
         """What acts on the bodies (n, 3), the constraint forces with the rest."""
@@ -147,6 +125,14 @@ class JointSystem(eqx.Module):
         matrix = Banded.of_entries(one, other, entry, place, width)
         return lambda right: unblocked(matrix.solve(blocked(right, place, width)), place)
 
+    def reactions(self, state: State, inverse: Array) -> JointReactions:
+        """How the joints pass on impulses at a state; `inverse` (n, 6, 6) of each body's mass matrix, in W."""
+        rows = self.rows(state)
+        index = np.minimum(self.bodies, self.count - 1)  # the world's derivatives are zero
+        turned = jax.tree.map(lambda leaf: leaf[index], state.orientation).rotate(rows.angular)
+        derivative = jnp.concatenate([rows.linear, turned], axis=-1)
+        return reactions(derivative, inverse, self._pairs, self.count, often=True)
+
     def _responses(self, dynamics: Any, rows: Rows) -> tuple[Vector, Vector]:
         """M⁻¹ Jᵀ (rows, 2, 3): how each row's unit force accelerates its two bodies."""
         index = np.minimum(self.bodies, self.count - 1)  # the world's derivatives are zero
@@ -185,13 +171,9 @@ class JointSystem(eqx.Module):
         return force * dynamics.inverse_mass[:, None], dynamics.inertia.response(torque)
 
 
-def joints_of(
-    effects: tuple[Any, ...], freedoms: tuple[Freedom, ...], bodies: MassProperties
-) -> JointSystem | None:
-    """The joints among the effects of bodies of these freedoms; None where there is none."""
-    joints = [effect for effect in effects if isinstance(effect, Joint)]
-    if not joints:
-        return None
+def joints_of(effects: tuple[Any, ...], freedoms: tuple[Freedom, ...], bodies: MassProperties) -> JointSystem:
+    """The joints among the effects of bodies of these freedoms."""
+    joints = [effect for effect in effects if effect.joins]
     world = len(freedoms)
     by_kind: dict[type, list[Any]] = {PointRows: [], TurnRows: [], LengthRows: []}
     owners: dict[type, list[tuple[int, int]]] = {kind: [] for kind in by_kind}

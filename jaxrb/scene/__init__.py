@@ -1,9 +1,6 @@
 """Floor 6: the public heart."""
 
 from jaxrb.scene.flight import free_flight as free_flight
-from jaxrb.scene.joints import assembled as assembled
-from jaxrb.scene.joints import joint_error as joint_error
-from jaxrb.scene.joints import joint_reactions as joint_reactions
 from jaxrb.scene.path import Path as Path
 from jaxrb.scene.rollout import rollout as rollout
 from jaxrb.scene.scene import Scene as Scene

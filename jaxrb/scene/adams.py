@@ -14,10 +14,16 @@ from jaxrb.integrators.adams_weights import SCHEMES, Scheme
 from jaxrb.math.arrays import Array, Scalar
 from jaxrb.scene import adams_lanes as lanes
 from jaxrb.scene.adams_pilot import Found, Problem, planned
-from jaxrb.scene.joints import check_jointed
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene, check_fit, refuse_contact
-from jaxrb.scene.settings import ON_ERROR, applied_torque, check_choice, check_count, check_tolerance
+from jaxrb.scene.settings import (
+    ON_ERROR,
+    applied_torque,
+    check_choice,
+    check_count,
+    check_jointed,
+    check_tolerance,
+)
 from jaxrb.scene.solve import run_times
 from jaxrb.scene.status import NOT_A_ROTATION, NOT_FINITE, OK, STOPPED_EARLY, Status
 

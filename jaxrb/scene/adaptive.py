@@ -21,13 +21,13 @@ from jaxrb.scene.adaptive_loop import run_adaptive
 from jaxrb.scene.adaptive_records import Settings, StepCounts
 from jaxrb.scene.certificate import Certificate, certificate_between
 from jaxrb.scene.events_corners import corners_of
-from jaxrb.scene.joints import check_jointed
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene, check_fit
 from jaxrb.scene.settings import (
     ON_ERROR,
     check_choice,
     check_count,
+    check_jointed,
     check_positive,
     check_struck,
     check_tolerance,

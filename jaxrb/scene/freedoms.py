@@ -13,7 +13,6 @@ from jaxrb.effects.fixed_point import FixedPoint
 from jaxrb.effects.prescribed_motion import PrescribedMotion
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.errors import InvalidInput, WrongStructure
-from jaxrb.joints.joint import Joint
 
 
 def check_contact(freedoms: Sequence[Freedom], effects: Sequence[Effect]) -> None:
@@ -42,16 +41,11 @@ def check_joints(effects: Sequence[Effect]) -> None:
     Raises:
         WrongStructure: naming the effect, the body and what else to do.
     """
-    joints = [effect for effect in effects if isinstance(effect, Joint)]
+    joints: list[Any] = [effect for effect in effects if effect.joins]
     if not joints:
         return
     jointed = {body for joint in joints for body in joint.members}
     for effect in effects:
-        if isinstance(effect, RigidContact):
-            raise WrongStructure(
-                f"Scene.effects: RigidContact beside {type(joints[0]).__name__}: the impulses of contact do not know "
-                "joints; use CompliantContact"
-            )
         if isinstance(effect, PrescribedMotion) and effect.body in jointed:
             raise WrongStructure(
                 f"PrescribedMotion: body {effect.body} has a joint, whose forces its acceleration would enter; drive "

@@ -1,6 +1,5 @@
-"""Scenes with joints by name: pendulums, a chain, a door, linkages, a doll."""
+"""Scenes with joints by name: pendulums, a chain, a door, linkages, a doll, a cart."""
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -9,12 +8,15 @@ import numpy as np
 
 from jaxrb.body.body import Body, replicate
 from jaxrb.effects.gravity import UniformGravity
+from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.effects.torques import AngularSpring
-from jaxrb.geometry.primitives import Box, Capsule
+from jaxrb.geometry.primitives import Box, Capsule, Cylinder, HalfSpace
 from jaxrb.joints.drives import JointLimit, JointMotor, JointSpring
 from jaxrb.joints.kinds import BallJoint, Hinge
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.scene.example import Example
+from jaxrb.scene.rods import Rods as Rods
+from jaxrb.scene.rods import rod as rod
 from jaxrb.scene.scene import Scene
 
 GRAVITY = UniformGravity((0.0, 0.0, -9.81))
@@ -109,6 +111,51 @@ def bricard() -> Example:
 
 def ragdoll() -> Example:
     """A doll of ten limbs hung up by one hand: ball joints with springs, elbows and knees that bend one way."""
+    bodies, effects, rods = _doll()
+    hand = [body.name for body in bodies].index("forearm l")
+    effects = (*effects, rods.ball(hand, None, np.array([0.0, 0.8, 1.5])))
+    return Example("ragdoll", "doll hung up by one hand", Scene(bodies, effects), rods.start, 5.0, 1e-3)
+
+
+def doll_on_floor() -> Example:
+    """The same doll let go above a floor: it falls on its legs, collapses, and lies there."""
+    bodies, effects, rods = _doll()
+    effects = (*effects, RigidContact(HalfSpace(), friction=0.6), RigidContact(friction=0.3))
+    return Example(
+        "doll_on_floor", "doll that falls on a floor", Scene(bodies, effects), rods.start, 4.0, 2e-3
+    )
+
+
+def cart(degrees: float = 10.0) -> Example:
+    """A cart on four wheels rolls down an incline, with g sin α m/(m + 4 I/r²), I about the axles, m of all."""
+    angle = math.radians(degrees)
+    radius, half = 0.1, (0.3, 0.15, 0.05)
+    wheel = Body.from_shape(Cylinder(radius, 0.02), 1000.0, "wheel")
+    chassis = Body.from_shape(Box(half), 400.0, "chassis")
+    # Wheels turn about their own z axes, which lie across.
+    turn = Quaternion(np.array([math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0]))
+    hubs = np.array([(x, y, -half[2]) for x in (-0.25, 0.25) for y in (-0.19, 0.19)])
+    axles = Hinge((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), hubs, turn, bodies=((1, 2, 3, 4), (0, 0, 0, 0)))
+    # α about y: x points down the incline.
+    lean = np.array([math.cos(angle / 2), 0.0, math.sin(angle / 2), 0.0])
+    down = np.array(
+        [[math.cos(angle), 0.0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0.0, math.cos(angle)]]
+    )
+    floor = HalfSpace((math.sin(angle), 0.0, math.cos(angle)))
+    middle = np.array([0.0, 0.0, radius + half[2]])
+    places = [down @ (middle + place) for place in np.vstack([np.zeros(3), hubs])]
+    w, _, y, _ = lean
+    start = {
+        "position": [place.tolist() for place in places],
+        # lean ⊗ turn, on the host.
+        "orientation": [lean.tolist(), *4 * [(np.array([w, -w, y, y]) * math.sqrt(0.5)).tolist()]],
+    }
+    scene = Scene((chassis, replicate(wheel, 4)), (GRAVITY, axles, RigidContact(floor, friction=0.8)))
+    return Example("cart", "cart that rolls down an incline", scene, start, 2.0, 2e-3)
+
+
+def _doll() -> tuple[tuple[Body, ...], tuple[Any, ...], Rods]:
+    """Its limbs, gravity and joints, and where they are."""
     limbs = {
         "torso": ((0.0, 0.0, 1.1), (0.0, 0.0, 1.5), 0.14), "head": ((0.0, 0.0, 1.6), (0.0, 0.0, 1.75), 0.09),
         "arm l": ((0.0, 0.2, 1.5), (0.0, 0.5, 1.5), 0.045), "forearm l": ((0.0, 0.5, 1.5), (0.0, 0.8, 1.5), 0.035),
@@ -142,90 +189,10 @@ def ragdoll() -> Example:
     ):  # fmt: skip
         a, b = names.index(limb), names.index(parent)
         effects.append(rods.hinge(a, b, ends[a][0], axis, bend, JointSpring(damping=0.2)))
-    hand = names.index("forearm l")
-    effects.append(rods.ball(hand, None, ends[hand][1]))
-    return Example(
-        "ragdoll", "doll hung up by one hand", Scene(bodies, tuple(effects)), rods.start, 5.0, 1e-3
-    )
-
-
-class Rods:
-    """Where rods lie that lead from point to point, their z axis along them; and joints between them at points."""
-
-    def __init__(self, points: Sequence[np.ndarray]):
-        self._set(list(itertools.pairwise(points)), points)
-
-    @classmethod
-    def of(cls, ends: Sequence[tuple[np.ndarray, np.ndarray]]) -> "Rods":
-        """Rods between these ends."""
-        rods = cls.__new__(cls)
-        rods._set(list(ends), ())
-        return rods
-
-    def _set(self, ends: list, points: Sequence[np.ndarray]) -> None:
-        self.points = points
-        self.middles = [0.5 * (a + b) for a, b in ends]
-        self.turns = [_along(b - a) for a, b in ends]
-
-    @property
-    def start(self) -> dict[str, Any]:
-        """The arguments of `Scene.state`."""
-        turns = [_wxyz(turn).tolist() for turn in self.turns]
-        return {"position": [m.tolist() for m in self.middles], "orientation": turns}
-
-    def local(self, body: int | None, point: np.ndarray) -> tuple[float, ...]:
-        """A point of the world in the frame of a rod, or of the world."""
-        if body is None:
-            return tuple(point.tolist())
-        return tuple((self.turns[body].T @ (point - self.middles[body])).tolist())
-
-    def seen(self, a: int, b: int | None) -> Quaternion:
-        """The attitude of a as seen from b."""
-        turn = self.turns[a] if b is None else self.turns[b].T @ self.turns[a]
-        return Quaternion(_wxyz(turn))
-
-    def ball(self, a: int, b: int | None, point: int | np.ndarray) -> BallJoint:
-        """A ball joint at a point, or the point of that number."""
-        place = self.points[point] if isinstance(point, int) else point
-        return BallJoint(self.local(a, place), self.local(b, place), bodies=(a, b))
-
-    def hinge(self, a: int, b: int | None, point: int | np.ndarray, axis: Any, *drives: Any) -> Hinge:
-        """A hinge at a point about an axis of the world; angle zero is here."""
-        place = self.points[point] if isinstance(point, int) else point
-        own = self.turns[a].T @ np.asarray(axis, float)
-        return Hinge(
-            own, self.local(a, place), self.local(b, place), self.seen(a, b), bodies=(a, b), drives=drives
-        )
-
-
-def rod(length: float, mass: float) -> Body:
-    """A thin rod along z, as thick as a hundredth of its length."""
-    across = mass * length**2 / 12.0
-    return Body(mass, (across, across, 0.5 * mass * (0.005 * length) ** 2))
-
-
-def _along(direction: np.ndarray) -> np.ndarray:
-    """A rotation matrix whose third column points along `direction`; y stays across the plane x-z."""
-    z = direction / np.linalg.norm(direction)
-    helper = np.array([0.0, 1.0, 0.0]) if abs(z[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    x = np.cross(helper, z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
-
-
-def _wxyz(matrix: np.ndarray) -> np.ndarray:
-    """The quaternion of a rotation matrix, on the host, so that making a scene compiles nothing."""
-    m = matrix
-    squares = np.array([1 + np.trace(m), *(1 + 2 * m[i, i] - np.trace(m) for i in range(3))])
-    skew = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
-    table = np.zeros((4, 4))
-    table[0], table[1:, 0] = [squares[0], *skew], skew
-    table[1:, 1:] = m + m.T
-    table[1, 1], table[2, 2], table[3, 3] = squares[1:]
-    best = table[squares.argmax()]
-    return best / np.linalg.norm(best)
+    return bodies, tuple(effects), rods
 
 
 JOINT_SCENES: dict[str, Callable[[], Example]] = {
-    build.__name__: build for build in (double_pendulum, chain, door, four_bar, bricard, ragdoll)
+    build.__name__: build
+    for build in (double_pendulum, chain, door, four_bar, bricard, ragdoll, doll_on_floor, cart)
 }

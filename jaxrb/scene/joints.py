@@ -62,12 +62,6 @@ def assembled(scene: Scene, state: State) -> State:
     return closed
 
 
-def check_jointed(scene: Scene, where: str, mend: str) -> None:
-    """Refuse a scene with joints where their forces are not known."""
-    if scene.jointed:
-        raise WrongStructure(f"{where}: the scene has joints, which {where} does not take; {mend}")
-
-
 def _check(scene: Scene, state: State, where: str) -> None:
     check_fit(scene, state)
     if not scene.jointed:

@@ -17,9 +17,6 @@ from jaxrb.effects.fixed_point import FixedPoint
 from jaxrb.effects.prescribed_motion import PrescribedMotion
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.errors import WrongStructure
-from jaxrb.joints.joint import Joint
-from jaxrb.joints.readings import check_closed
-from jaxrb.joints.system import joints_of
 from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.math.euler_angles import EulerAngles
 from jaxrb.math.quaternion import Quaternion
@@ -61,7 +58,7 @@ class Scene(Checked):
     @property
     def jointed(self) -> bool:
         """Whether there are joints among the effects."""
-        return any(isinstance(effect, Joint) for effect in self.effects)
+        return any(effect.joins for effect in self.effects)
 
     @property
     def count(self) -> int:
@@ -77,7 +74,11 @@ class Scene(Checked):
         effects = tuple(effect.with_shapes(self.bodies) for effect in self.effects)
         contact = contact_of(self.bodies, self.effects)
         bodies, freedoms = self.stacked(), freedoms_of(self.bodies)
-        joints = joints_of(self.effects, freedoms, bodies)
+        joints = None
+        if self.jointed:
+            from jaxrb.joints.system import joints_of  # only scenes with joints load them
+
+            joints = joints_of(self.effects, freedoms, bodies)
         return prepare(bodies, effects, dtype, contact, freedoms, joints)
 
     def state(
@@ -135,6 +136,7 @@ def _placed(scene: Scene, state: State, position: Any, given: dict[str, Any]) ->
 def _fitted(scene: Scene, state: State, assemble: bool) -> State:
     """The state if its joints are closed, or with its joints closed."""
     # Not at the top: what closes joints for users is told of scenes, and so imports this file.
+    from jaxrb.joints.readings import check_closed
     from jaxrb.scene import joints
 
     if isinstance(state.orientation, EulerAngles):

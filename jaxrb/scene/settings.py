@@ -158,3 +158,9 @@ def warn_of_coarse_steps(scene: Scene, state: State, dt: Any, method: Method) ->
                 f"dt = {float(dt):.3g} s is beyond the stability of {type(method).__name__} for "
                 f"{type(effect).__name__} (rate {rate:.3g} /s); take dt below {method.stability_limit / rate:.2g} s"
             )
+
+
+def check_jointed(scene: Scene, where: str, mend: str) -> None:
+    """Refuse a scene with joints where their forces are not known."""
+    if scene.jointed:
+        raise WrongStructure(f"{where}: the scene has joints, which {where} does not take; {mend}")

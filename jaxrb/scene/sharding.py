@@ -1,7 +1,11 @@
 """Worlds laid over devices and processes. Each device runs its share by itself; none waits for another on the way."""
 
+import contextlib
+import subprocess
+import sys
 import warnings
 import zlib
+from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -10,6 +14,13 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxrb.checks import is_concrete
 from jaxrb.errors import InvalidInput, JaxrbWarning, RunFailed, WrongStructure
+
+_HOW_TO_GO_ON = (
+    "Start all of them again. Calls of fewer steps lose less: the final states of one are the starts of the next, and "
+    "rb.run keeps a single world's in a file."
+)
+# Ends when its input does. A line tells that all is well; without one, whoever started it is gone.
+_MOURNER = "import sys; sys.stdin.readline() or print(sys.argv[1], file=sys.stderr, flush=True)"
 
 
 def mesh_of(sharding: Any) -> Mesh:
@@ -89,6 +100,29 @@ def _from_all(found: Any) -> Any:
         reason = str(error).strip().splitlines()[0]
         raise RunFailed(
             f"rollout_worlds: process {jax.process_index()} of {jax.process_count()} has lost the others ({reason}). "
-            "Start all of them again. Calls of fewer steps lose less: the final states of one are the starts of the "
-            "next, and rb.run keeps a single world's in a file."
+            f"{_HOW_TO_GO_ON}"
         ) from error
+
+
+@contextlib.contextmanager
+def last_words() -> Iterator[None]:
+    """See that the user reads how to go on when this process, one of several, is ended while it runs its worlds.
+
+    When one is lost, JAX's service ends the others by abort, out of a thread in which no Python runs any more. So a
+    small process waits beside this one and speaks for it. A thread of ours that watched the others would have to
+    notice before JAX does, which the loss of the first process, in which the service runs, does not allow.
+    """
+    if jax.process_count() == 1:
+        yield
+        return
+    who = f"process {jax.process_index()} of {jax.process_count()}"
+    text = f"jaxrb: {who} was ended while it ran worlds, as it is when another one is lost. {_HOW_TO_GO_ON}"
+    command = [sys.executable, "-I", "-S", "-c", _MOURNER, text]
+    beside = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True
+    )
+    try:
+        yield
+    finally:
+        with contextlib.suppress(BrokenPipeError):  # it was ended before this one
+            beside.communicate(b"\n")

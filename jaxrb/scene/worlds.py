@@ -1,5 +1,6 @@
 """Worlds of different structure run by one call: those of one structure share one program."""
 
+import contextlib
 import functools
 import operator
 from collections.abc import Iterator, Sequence
@@ -30,7 +31,7 @@ from jaxrb.scene.settings import (
     check_saved_bytes,
     warn_of_coarse_steps,
 )
-from jaxrb.scene.sharding import along, check_agreement, gathered, laid_over, mesh_of
+from jaxrb.scene.sharding import along, check_agreement, gathered, laid_over, last_words, mesh_of
 from jaxrb.scene.status import OK
 
 
@@ -117,17 +118,18 @@ def rollout_worlds(
         warn_of_coarse_steps(scene, state, dt, method)
     found = []
     mesh = None if sharding is None else mesh_of(sharding)
-    if mesh is not None:
-        check_agreement(worlds)
-    for who in _buckets(worlds):
-        stacked = jax.tree.map(_stacked, *(worlds[i] for i in who))
-        if mesh is None:
-            path = _together(*stacked, dt, method, steps=steps, save_every=save_every)
-        else:
-            shares = laid_over(mesh, stacked, len(who))
-            path = _apart(*shares, dt, method, mesh=mesh, steps=steps, save_every=save_every)
-            path = gathered(path, len(who))
-        found.append((np.asarray(who), path))
+    with contextlib.nullcontext() if mesh is None else last_words():
+        if mesh is not None:
+            check_agreement(worlds)
+        for who in _buckets(worlds):
+            stacked = jax.tree.map(_stacked, *(worlds[i] for i in who))
+            if mesh is None:
+                path = _together(*stacked, dt, method, steps=steps, save_every=save_every)
+            else:
+                shares = laid_over(mesh, stacked, len(who))
+                path = _apart(*shares, dt, method, mesh=mesh, steps=steps, save_every=save_every)
+                path = gathered(path, len(who))
+            found.append((np.asarray(who), path))
     paths = WorldPaths(found)
     if on_error == "raise":
         paths.raise_if_bad()

@@ -78,6 +78,7 @@ BOX = {
         motion((0, 0, 0.1268), (0.5, 0.2, -2.0), (1, 2, 0.5), (0.7, 0.6, 0)),
         True,
     ),
+    "straight down, not yet there": (numbers(), motion((0, 0, 0.053), (0, 0, -2.0)), True),
     "zero friction": (numbers(0.0), motion((0, 0, 0.05), (1, 0, 0)), False),
     "zero friction at rest": (numbers(0.0), motion((0, 0, 0.05)), False),
     "exact touch without weight": (numbers() | {"gravity": np.zeros(3)}, motion((0, 0, 0.05)), False),
@@ -91,6 +92,11 @@ BALL = {
     "rolling": (numbers(e=0.5, radius=0.1), motion((0, 0, 0.1), (1, 0, 0), (0, 10, 0)), True),
     "impact": (numbers(e=0.5, radius=0.1), motion((0, 0, 0.1005), (0.2, 0.1, -2), (1, 2, 3)), True),
     "sliding impact": (numbers(0.1, e=0.5, radius=0.1), motion((0, 0, 0.1005), (3, 1, -2), (1, 2, 3)), True),
+    "straight down, not yet there": (
+        numbers(e=0.5, radius=0.1),
+        motion((0, 0, 0.103), (0, 0, -2.0)),
+        True,
+    ),
     "exact touch": (numbers(e=0.5, radius=0.1), motion((0, 0, 0.1)), False),
     "exact touch without weight": (
         numbers(e=0.5, radius=0.1) | {"gravity": np.zeros(3)},

@@ -26,7 +26,6 @@ BALL = rb.BallJoint((0, 0, 0.3), bodies=(0, None))
         (lambda: rb.Scene(PAIR, rb.BallJoint(bodies=((0, 1), (1,)))), "equally many"),
         (lambda: rb.Scene(PAIR, rb.BallJoint(np.zeros((3, 3)), bodies=((0, 1), None))), "one value a joint"),
         (lambda: rb.Hinge(bodies=(0, None), drives=rb.UniformGravity()), "give JointSpring"),
-        (lambda: rb.Scene(BOX, (BALL, rb.RigidContact(rb.HalfSpace()))), "use CompliantContact"),
         (lambda: rb.Scene(BOX, (BALL, rb.FixedPoint((0, 0, 0.3)))), "BallJoint"),
         (lambda: rb.Scene(BOX, (BALL, rb.PrescribedMotion(lambda t, _: (t, t, t), body=0))), "JointServo"),
         (lambda: rb.joint_error(rb.Scene(BOX), rb.Scene(BOX).state()), "no joints"),
@@ -111,8 +110,9 @@ def test_the_program_does_not_grow_with_the_number_of_joints():
 
 
 def test_scenes_by_name_start_closed(dtype):
-    """The others run in `test_joint_motion.py`."""
-    assert set(JOINT_SCENES) == {"double_pendulum", "chain", "door", "four_bar", "bricard", "ragdoll"}
+    """The others run in `test_joint_motion.py` and `contact/test_contact_joints.py`."""
+    tested = {"double_pendulum", "chain", "bricard", "doll_on_floor", "cart"}
+    assert set(JOINT_SCENES) == {"door", "four_bar", "ragdoll"} | tested
     for name in ("door", "four-bar", "ragdoll"):
         assert example_of(name).state().dtype == dtype
 
