@@ -28,7 +28,7 @@ def wheeled():
     if not jax.config.jax_enable_x64:
         pytest.skip("a fit runs in float64 whatever the flag; the racket shows that here")
     tosses = throws(TENSOR, 1, 8, rate=250.0, wheel=0.02, arm=ARM, handled=0.3, linear=0.02, bias=0.05)
-    return tosses, fit_inertia(tosses, nuisances="auto")
+    return tosses, fit_inertia(tosses)
 
 
 def test_a_wheel_gives_the_scale(wheeled):
@@ -68,7 +68,7 @@ def test_throws_with_wheels_of_their_own_are_fitted_together(wheeled):
                   internal_momentum=tosses.internal_momentum[a:b])
         for a, b in bounds
     ]  # fmt: skip
-    again = fit_inertia(parts, nuisances="auto")
+    again = fit_inertia(parts)
     np.testing.assert_allclose(again.trace, found.trace, rtol=1e-9)
     lacking = Recording(tosses.time[:50], tosses.angular_velocity[:50])
     with pytest.raises(rb.InvalidInput, match="'internal_momentum' is missing"):
@@ -103,7 +103,7 @@ def test_an_accelerometer_shows_where_the_centre_of_mass_is(wheeled):
 def test_what_no_torque_free_flight_shows_is_refused(what, components):
     tosses = throws(TENSOR, 2, 4, rate=200.0)
     with pytest.raises(ParametersNotIdentifiable, match=what) as refusal:
-        fit_inertia(tosses, required=[what])
+        fit_inertia(tosses, nuisances=(), required=[what])
     assert refusal.value.null_vectors.shape == (components, 10)
     with pytest.raises(rb.InvalidInput, match="known are scale, mass"):
         fit_inertia(tosses, required=["colour"])

@@ -105,7 +105,7 @@ BAD = {
     "words": (lambda: {**columns(), "position": np.full((8, 3), "x")}, "position.*not an array"),
     "nothing but time": (lambda: {"time": columns()["time"]}, "only 'time'"),
     "empty": (lambda: {k: v[:0] for k, v in columns().items()}, "at least 2"),
-    "unknown unit": (lambda: {**columns(), "angular_velocity_unit": "rpm"}, "'rpm'.*deg/s"),
+    "unknown unit": (lambda: {**columns(), "angular_velocity_unit": "turns"}, "'turns'.*deg/s"),
     "unknown frame": (lambda: {**columns(), "angular_velocity_frame": "camera"}, "'camera'"),
     "world frame without attitude": (
         lambda: {
@@ -189,7 +189,7 @@ BAD_FILES = {
         lambda f: with_arrays(f, jaxrb_recording=np.array(2), time=np.arange(3.0)),
         "reads 1 to 1",
     ),
-    "unknown field": (lambda f: with_arrays(f, time=np.arange(3.0), gyro=np.zeros((3, 3))), "'gyro'"),
+    "unknown field": (lambda f: with_arrays(f, time=np.arange(3.0), hue=np.zeros((3, 3))), "'hue'"),
     "no time and no rate": (lambda f: with_arrays(f, position=np.zeros((3, 3))), "'rate_hz'"),
     "rate zero": (
         lambda f: with_arrays(f, position=np.zeros((3, 3)), length=np.array([3]), rate_hz=np.array(0.0)),
@@ -206,7 +206,7 @@ BAD_FILES = {
     "CSV with a word": (csv(HEADER + "0,1,2,3\n1,1,x,3\n"), "line 4, column 'wy'"),
     "CSV with NaN": (csv(HEADER + "0,1,2,3\n1,1,nan,3\n"), "angular_velocity.*nan"),
     "CSV without wz": (csv("# frame: body\ntime [s], wx [rad/s], wy [rad/s]\n0,1,2\n"), "'wz' is missing"),
-    "CSV with an unknown column": (csv("time [s], gx [rad/s]\n0,1\n"), "'gx \\[rad/s\\]'"),
+    "CSV with part of a gyroscope": (csv("time [s], gx [rad/s]\n0,1\n"), "'wy' is missing"),
     "CSV with a column twice": (csv("time [s], time [s]\n0,1\n"), "twice"),
     "CSV whose toss comes back": (
         csv(HEADER.replace("time", "toss, time") + "0,0,1,2,3\n1,0,1,2,3\n0,0,1,2,3\n"),

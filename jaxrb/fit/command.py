@@ -15,35 +15,46 @@ def fit(
     *,
     json: bool = False,
     drag: bool = False,
-    nuisances: tuple[str, ...] = (),
+    nuisances: tuple[str, ...] = ("auto",),
     centre_of_mass: bool = False,
     required: tuple[str, ...] = (),
     html: Path | None = None,
     trace: float | None = None,
     minimum_samples: int = 7,
-    angular_velocity_unit: Literal["rad/s", "deg/s"] | None = None,
+    time_unit: Literal["s", "ms", "us", "ns"] | None = None,
+    angular_velocity_unit: Literal["rad/s", "deg/s", "rpm"] | None = None,
     angular_velocity_frame: Literal["body", "world"] | None = None,
     length_unit: Literal["m", "cm", "mm"] | None = None,
+    specific_force_unit: Literal["m/s²", "m/s2", "g"] | None = None,
+    internal_momentum: tuple[float, float, float] | None = None,
+    internal_momentum_unit: Literal["kg m²/s", "N m s"] | None = None,
+    gaps: Literal["refuse", "leave out"] = "leave out",
 ) -> None:
     """Inertia of a tumbling body from a recording (NPZ or CSV), with error bars.
 
     Example: jaxrb fit tosses.npz --json
-    Example: jaxrb fit throw.csv --nuisances auto --html throw.html
+    Example: jaxrb fit throw.csv --angular-velocity-unit deg/s --html throw.html
+    Example: jaxrb fit wheel.csv --internal-momentum 0 0 0.012
 
     Args:
         file: recording; its layouts are described in jaxrb.io.recording_files and jaxrb.io.recording_csv.
         json: print one JSON object instead of a table.
         drag: also fit a torque that slows the spin.
-        nuisances: "auto" for those that the recording calls for, or names: linear_drag, quadratic_drag, gyro_bias,
-            gyro_scale, tilt, delay.
+        nuisances: "auto" for all, each with a belief about its size, or names: linear_drag, quadratic_drag, gyro_bias,
+            gyro_scale, tilt, delay; "none" for none.
         centre_of_mass: also find the centre of mass from the accelerometer.
         required: any of scale, mass, "centre of mass"; an error where the recording cannot give it.
         html: write a page with residuals, bounds and advice into this file.
         trace: sum of the three moments [kg m²], if known; the recording gives ratios only.
         minimum_samples: free flights shorter than this are left out.
+        time_unit: of a file that does not say.
         angular_velocity_unit: of a file that does not say.
         angular_velocity_frame: of a file that does not say.
         length_unit: of a file that does not say.
+        specific_force_unit: of a file that does not say.
+        internal_momentum: of a wheel at constant speed [kg m²/s, or its unit], relative to the body, body frame.
+        internal_momentum_unit: of a file that does not say.
+        gaps: what becomes of samples with missing values, repeated or out of order; those left out are counted.
 
     Raises:
         JaxrbError: for a file that cannot be read or a motion that does not determine the ratios.
@@ -56,15 +67,20 @@ def fit(
         bar.set_description_str(f"reading {file}")
         recording = read_recording(
             file,
+            time_unit=time_unit,
             angular_velocity_unit=angular_velocity_unit,
             angular_velocity_frame=angular_velocity_frame,
             length_unit=length_unit,
+            specific_force_unit=specific_force_unit,
+            internal_momentum=internal_momentum,
+            internal_momentum_unit=internal_momentum_unit,
+            gaps=gaps,
         )
         found = fit_inertia(
             recording,
             trace=trace,
             angular_drag=drag,
-            nuisances="auto" if nuisances == ("auto",) else nuisances,
+            nuisances="auto" if nuisances == ("auto",) else () if nuisances == ("none",) else nuisances,
             centre_of_mass=centre_of_mass,
             required=required,
             minimum_samples=minimum_samples,

@@ -17,6 +17,7 @@ def pack(
     longest: int | None = None,
     unit: float = 1.0,
     force: bool = False,
+    masked: np.ndarray | None = None,
 ) -> tuple[FlightData, np.ndarray]:
     """Padded arrays (S, W, K, …) of the flights, and (S, W) 1 where a window goes on into the next.
 
@@ -26,6 +27,7 @@ def pack(
         longest: intervals to pad to; by default those of the longest flight.
         unit: [kg m²] the first guess of tr(I), in which a wheel's momentum is counted.
         force: whether the specific force is compared.
+        masked: (N,) True for samples that are simulated and not compared.
     """
     longest = max(longest or 0, max(len(flight) for flight in flights) - 1)
     count = longest if count is None else min(count, longest)
@@ -36,6 +38,8 @@ def pack(
     index = start + np.minimum(sample, last)
     # A window's first sample is the last of the one before and was compared there.
     present = (sample <= last) & ((sample % count > 0) | (sample == 0) | (np.arange(count + 1) == count))
+    if masked is not None:
+        present &= ~masked[index]
     joined = (sample[:, -1] < last[..., 0]).astype(float)
     interval = np.diff(recording.time[index], axis=-1, prepend=recording.time[index[..., :1]])
     attitude, wheel = recording.orientation, recording.internal_momentum

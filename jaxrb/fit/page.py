@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from jaxrb.fit.advice import next_throw
+from jaxrb.fit.quality import scaled_residuals
 from jaxrb.fit.report import InertiaFit
 from jaxrb.fit.uncertainty import NAMES, directions, fitted_information, in_words
 from jaxrb.io.npz import write_whole
@@ -63,19 +64,8 @@ def page(found: InertiaFit) -> str:
 def residuals(found: InertiaFit) -> list[np.ndarray]:
     """Residuals (S, K, 3) of each channel in its own unit, NaN where a flight is shorter than the longest."""
     problem, fitted = found.evidence
-    with jax.enable_x64(True):
-        shared, local = fitted.solution.shared, fitted.solution.local
-        model = problem.residual
-
-        def channels(shared, local, data):
-            return jax.vmap(jax.vmap(lambda phi, d: model.channels(shared, phi, d)))(local, data)
-
-        parts = jax.jit(channels)(shared, local, fitted.data)
-    missing = np.where(np.asarray(fitted.data.present)[:, 0, :, None] > 0, 0.0, np.nan)
-    return [
-        np.asarray(part)[:, 0] * fitted.scales[channel] + missing
-        for part, channel in zip(parts, problem.residual.channels_used)
-    ]
+    parts = scaled_residuals(problem, fitted)
+    return [part * fitted.scales[channel] for part, channel in zip(parts, problem.residual.channels_used)]
 
 
 def _residuals(found: InertiaFit) -> str:

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxrb.errors import InvalidInput, NotIdentifiable
+from jaxrb.fit.profile import held, profile_rises
 from jaxrb.fit.residuals import RATIO_COORDINATES
-from jaxrb.fit.stages import Fitted, Problem, held, profile_rises
+from jaxrb.fit.stages import Fitted, Problem
 from jaxrb.fit.uncertainty import UNKNOWN, Directions, directions, fitted_information, in_words
 
 # Half a χ² by which the fit must worsen before a direction counts as measured. In each flight noise gives

@@ -24,11 +24,6 @@ from jaxrb.fit.uncertainty import (
 
 # With fewer tosses the jackknife's own error is so large that the wider of the two error bars is quoted.
 _FEW_TOSSES = 8
-NEVER = {
-    "scale": "torque-free motion is the same for any multiple of the inertia",
-    "mass": "rotation in free flight does not depend on it",
-    "centre of mass": "it is taken as the recorded point, which falls freely",
-}
 
 
 @dataclass(frozen=True)
@@ -49,7 +44,8 @@ class Nuisance:
     sample to the next: 1 for a free tumble with white noise, more where something else is in the residuals.
     `angular_drag` c [1/s] is that of a torque −c tr(I) ω; `values` has the number, standard error (model-based) and
     unit of each nuisance by its name in `jaxrb.fit.UNKNOWNS`, `tried` the likelihood ratios of those that were
-    tried. `cut_by` says by what the flights were found: "position", "accelerometer" or "declared".
+    tried; `believed` the mean and standard deviation that each was given beforehand. `cut_by` says by what the flights
+    were found: "position", "accelerometer", "motion" (stretches without torque) or "declared".
     `integration_error` is the largest error of the simulation in units of the noise; `rejected` counts what was
     left out by reason.
     """
@@ -69,6 +65,7 @@ class Nuisance:
     cut_by: str
     integration_error: float
     stages: tuple[str, ...]
+    believed: dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -108,89 +105,9 @@ class InertiaFit:
 
     def summary(self) -> str:
         """A page of text."""
-        return "\n".join([*self._table(), *self._unknown(), *self._circumstances()])
+        from jaxrb.fit.words import summary
 
-    def _table(self) -> list[str]:
-        robust, model = self.standard_errors, self.model_standard_errors
-        # Two digits of the smallest error bar.
-        smallest = max(float(np.min(robust.ratios)), 1e-9)
-        digits = int(np.clip(1 - np.floor(np.log10(smallest)), 4, 9))
-        width = digits + 5
-        rows = [
-            f"Inertia ratios I/tr(I) of {self.nuisance.source}",
-            f"{'':10s}{'value':>{width}s}  {'± robust':>{width}s}  {'± model':>{width}s}",
-        ]
-        groups = (
-            (("I_xx", "I_yy", "I_zz"), self.ratios, robust.ratios, model.ratios),
-            (("I_xy", "I_xz", "I_yz"), self.products, robust.products, model.products),
-            (
-                ("smallest", "middle", "largest"),
-                self.principal_ratios,
-                robust.principal,
-                model.principal,
-            ),
-        )
-        for names, values, errors, others in groups:
-            rows += [
-                f"  {n:8s}{v:{width}.{digits}f}  {e:{width}.{digits}f}  {o:{width}.{digits}f}"
-                for n, v, e, o in zip(names, values, errors, others)
-            ]
-        return [*rows, f"  (± robust: {self.error_kind})"]
-
-    def _unknown(self) -> list[str]:
-        known = [name for name, yes in self.identifiable.items() if yes]
-        lines = [f"Determined: {', '.join(known)}."]
-        for name, reason in NEVER.items():
-            if name == "scale" and self.scale_known:
-                how = "Taken as given: scale" if self.trace_error == 0.0 else "Determined by the wheel: scale"
-                error = "" if self.trace_error == 0.0 else f" ± {self.trace_error:.2g}"
-                lines.append(f"{how}, tr(I) = {self.trace:.6g}{error} kg m².")
-            elif name == "centre of mass" and "lever_arm" in self.nuisance.values:
-                arm, error, _ = self.nuisance.values["lever_arm"]
-                lines.append(
-                    "Determined: centre of mass; the accelerometer is at "
-                    f"({', '.join(f'{a:.4f} ± {e:.2g}' for a, e in zip(arm, error))}) m from it."
-                )
-            else:
-                lines.append(f"Not determined: {name}; {reason}.")
-        return lines
-
-    def _circumstances(self) -> list[str]:
-        n = self.nuisance
-        lines = [f"Used: {n.flights_used} free flights, {n.samples_used} samples."]
-        if n.cut_by == "declared":
-            lines.append("No positions to cut by: each toss was taken as one free flight.")
-        elif n.cut_by == "accelerometer":
-            lines.append("Flights were found by the accelerometer: where it shows nothing but the spin.")
-        if n.rejected:
-            lines.append(
-                "Left out: " + ", ".join(f"{count} × {why}" for why, count in n.rejected.items()) + "."
-            )
-        if n.free_fall is not None:
-            lines.append(f"Acceleration: {n.free_fall.sentence()}.")
-        noises = ((n.spin_noise, "rad/s in angular velocity"), (n.attitude_noise, "rad in attitude"))
-        found = [f"{value:.3g} {what}" for value, what in noises if value is not None]
-        lines.append(
-            f"Noise of a sample: {', '.join(found)}; "
-            f"simulation error at most {n.integration_error:.1e} of it."
-        )
-        if n.residual_ratio is not None:
-            lines.append(
-                f"Residuals are {n.residual_ratio:.1f} times the scatter from sample to sample (ideal: 1)."
-            )
-        for name, (value, error, unit) in n.values.items():
-            numbers = ", ".join(f"{v:.3g} ± {e:.2g}" for v, e in zip(value, error))
-            lines.append(
-                f"{name.replace('_', ' ').capitalize()}: {numbers} {unit if unit != '1' else ''}".rstrip()
-                + "."
-            )
-        if n.tried:
-            words = [
-                f"{t.name} {t.likelihood_ratio:.1f} of {t.threshold:.1f} ({'needed' if t.needed else 'not needed'})"
-                for t in n.tried
-            ]
-            lines.append(f"Tried, by likelihood ratio and what it must exceed: {'; '.join(words)}.")
-        return [*lines, *(f"Fit: {stage}." for stage in n.stages[-1:])]
+        return summary(self)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and text, for JSON."""
@@ -233,6 +150,7 @@ class InertiaFit:
                 "cut_by": n.cut_by,
                 "integration_error_in_noise": n.integration_error,
                 "stages": list(n.stages),
+                "believed": {name: list(pair) for name, pair in n.believed.items()},
             },
         }
 
@@ -245,8 +163,12 @@ def inertia_fit(
     toss: np.ndarray,
     nuisance: Nuisance,
     trace: float | None,
+    correlation: float = 1.0,
 ) -> InertiaFit:
-    """Put a fit together from `ratios` (3, 3), the information on what was fitted, and each flight's toss."""
+    """Put a fit together from `ratios` (3, 3), the information on what was fitted, and each flight's toss.
+
+    `correlation`: samples that tell as much as one would if noise were white.
+    """
     shared, used = np.asarray(fitted.solution.shared), fitted.weight > 0
     scaled = "scale" in problem.residual.unknowns
     # Six ratios, and the logarithm of the scale.
@@ -255,7 +177,7 @@ def inertia_fit(
     if scaled:
         jacobian[6, problem.residual.place("scale")] = 1.0
     whole_model = jacobian @ model_covariance(info) @ jacobian.T
-    whole_robust, kind = _quoted(info, jacobian, whole_model, toss, used)
+    whole_robust, kind = _quoted(info, jacobian, whole_model, toss, used, correlation)
     model, robust = whole_model[:6, :6], whole_robust[:6, :6]
     values, errors, axes = principal(ratios, robust)
     _, model_errors, _ = principal(ratios, model)
@@ -289,12 +211,16 @@ def inertia_fit(
     )
 
 
-def _quoted(info: Information, jacobian, model, toss, used) -> tuple[np.ndarray, str]:
+def _quoted(info: Information, jacobian, model, toss, used, correlation) -> tuple[np.ndarray, str]:
     """The covariance to quote, and what it is."""
     tosses = len(np.unique(toss[used]))
     inner = jackknife_covariance(info, toss, used)
     if inner is None:
-        return model, "one toss only: model-based, which real recordings exceed several times"
+        # With noise of correlation time τ the sum of N scores has the variance of N/τ independent ones.
+        return (
+            correlation * model,
+            f"one toss only: model-based, × √{correlation:.1f} for correlated residuals",
+        )
     robust = jacobian @ inner @ jacobian.T
     if tosses >= _FEW_TOSSES:
         return robust, f"jackknife over {tosses} tosses"

@@ -12,8 +12,9 @@ import numpy as np
 from jaxrb.accuracy.rollout import rollout
 from jaxrb.body.state import State
 from jaxrb.errors import InvalidInput, NotIdentifiable
+from jaxrb.fit.first_order import by_optimiser
 from jaxrb.fit.least_squares import MEANING, levenberg_marquardt
-from jaxrb.fit.problem import Alone, Solution
+from jaxrb.fit.problem import Alone
 from jaxrb.integrators.method import Method
 from jaxrb.io.recording import Recording
 from jaxrb.math.quaternion import Quaternion
@@ -53,6 +54,9 @@ def fit_scene(
     method: Method | str | None = None,
     huber: float | None = None,
     max_iterations: int = 50,
+    optimiser: Any = None,
+    loss: Callable[[Any], Any] | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> SceneFit:
     """Numbers of a scene of one body from one toss, by least squares through `rb.rollout`.
 
@@ -70,13 +74,21 @@ def fit_scene(
         steps_per_sample: steps of the method between two samples.
         method: as of `rb.rollout`.
         huber: standard deviations beyond which a residual's pull stops growing.
-        max_iterations: of Levenberg–Marquardt.
+        max_iterations: of Levenberg–Marquardt, or steps of the optimiser.
+        optimiser: an optax transformation, such as `optax.adam(0.05)`, in place of Levenberg–Marquardt. It steps in
+            logarithms of the unknowns that start positive, and in units of their start for the others.
+        loss: of the residuals (R,) in standard deviations, in place of half their sum of squares; needs an optimiser.
+            Its error bars are not known, and are NaN.
+        progress: called with a line of text now and then (with an optimiser).
 
     Raises:
-        InvalidInput: for a recording of several tosses, an uneven rate or a channel that is not there.
+        InvalidInput: for a recording of several tosses, an uneven rate, a channel that is not there, or a loss without
+            an optimiser.
         NotIdentifiable: if the motion leaves a combination of the unknowns open; `null_vectors` (n, P) are relative
             changes.
     """
+    if loss is not None and optimiser is None:
+        raise InvalidInput("fit: a loss of your own needs an optimiser, such as optimiser=optax.adam(0.05).")
     dt, compared = _checked(recording, scales)
     if isinstance(scene, Scene):
         start, given = unknowns(scene), scene
@@ -89,18 +101,7 @@ def fit_scene(
         def build(values: Any) -> Scene:
             return made(values)
 
-    leaves, tree = jax.tree.flatten(start)
-    shapes = [np.shape(leaf) for leaf in leaves]
-    flat = jnp.concatenate([jnp.ravel(jnp.asarray(leaf, float)) for leaf in leaves])
-    if not bool(jnp.all(jnp.isfinite(flat))):
-        raise InvalidInput(f"fit: an unknown starts at {np.asarray(flat).tolist()}; give finite numbers.")
-    positive, unit = flat > 0, jnp.where(flat == 0, 1.0, jnp.abs(flat))
-
-    def values(step):
-        moved = jnp.where(positive, flat * jnp.exp(jnp.where(positive, step, 0.0)), flat + unit * step)
-        cuts = np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1]
-        parts = [part.reshape(shape) for part, shape in zip(jnp.split(moved, cuts), shapes)]
-        return jax.tree.unflatten(tree, parts)
+    flat, unit, values = _coordinates(start)
 
     def residual(step, _, data):
         found = values(step)
@@ -114,46 +115,76 @@ def fit_scene(
         )
 
     data = {name: jnp.asarray(getattr(recording, name), flat.dtype)[None, None] for name in compared}
+    if optimiser is None:
+        bound = np.inf if huber is None else huber
+        moved, information, iterations, ended = _by_squares(residual, flat, data, bound, max_iterations)
+    else:
+        moved, information, iterations, ended = by_optimiser(
+            residual, flat, data, optimiser, loss, max_iterations, progress or (lambda line: None)
+        )
+    left = residual(moved, None, {name: measured[0, 0] for name, measured in data.items()})
+    found = values(moved)
+    numbers = jnp.concatenate([jnp.ravel(value) for value in jax.tree.leaves(found)])
+    rates = np.asarray(jnp.where(flat > 0, numbers, unit))
+    rest = np.asarray(left)
+    covariance = _covariance(information, rest, rates, _names(found), recording.source)
+    covariance = covariance if loss is None else np.full_like(covariance, np.nan)
+    return _result(found, build(found), covariance, _noise(rest, compared), iterations, ended)
+
+
+def _coordinates(start: Any) -> tuple[Any, Any, Callable[[Any], Any]]:
+    """The numbers of a tree (P,), the unit of each one's step, and the tree a step (P,) away."""
+    leaves, tree = jax.tree.flatten(start)
+    shapes = [np.shape(leaf) for leaf in leaves]
+    flat = jnp.concatenate([jnp.ravel(jnp.asarray(leaf, float)) for leaf in leaves])
+    if not bool(jnp.all(jnp.isfinite(flat))):
+        raise InvalidInput(f"fit: an unknown starts at {np.asarray(flat).tolist()}; give finite numbers.")
+    positive, unit = flat > 0, jnp.where(flat == 0, 1.0, jnp.abs(flat))
+
+    def values(step):
+        moved = jnp.where(positive, flat * jnp.exp(jnp.where(positive, step, 0.0)), flat + unit * step)
+        cuts = np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1]
+        parts = [part.reshape(shape) for part, shape in zip(jnp.split(moved, cuts), shapes)]
+        return jax.tree.unflatten(tree, parts)
+
+    return flat, unit, values
+
+
+def _by_squares(residual: Any, flat: Any, data: Any, huber: float, max_iterations: int):
+    """The step (P,) from the start by Levenberg–Marquardt, the information there, iterations, and how it ended."""
     solution = levenberg_marquardt(
         Alone(residual), jnp.zeros_like(flat), jnp.zeros((1, 1, 0), flat.dtype), data, weight=jnp.ones(1, flat.dtype),
-        free=jnp.ones_like(flat), huber=np.inf if huber is None else huber, max_iterations=max_iterations,
+        free=jnp.ones_like(flat), huber=huber, max_iterations=max_iterations,
     )  # fmt: skip
-    left = residual(solution.shared, None, {name: value[0, 0] for name, value in data.items()})
-    found = values(solution.shared)
-    numbers = jnp.concatenate([jnp.ravel(value) for value in jax.tree.leaves(found)])
-    rates = np.asarray(jnp.where(positive, numbers, unit))
-    return _result(
-        solution, found, build(found), np.asarray(left), rates, _noise(np.asarray(left), compared), recording
-    )
+    information = np.asarray(solution.normal.shared[0], float)
+    return solution.shared, information, int(solution.iterations), MEANING[int(solution.status)]
 
 
 def _result(
-    solution: Solution,
-    found: Any,
-    scene: Scene,
-    left: np.ndarray,
-    rates: np.ndarray,
-    noise: dict,
-    recording: Recording,
+    found: Any, scene: Scene, covariance: np.ndarray, noise: dict, iterations: int, ended: str
 ) -> SceneFit:
-    """Error bars from the residuals `left`; `rates` (P,) turn steps of the fit into the unknowns' own units."""
     leaves, tree = jax.tree.flatten(found)
-    shapes, names = [np.shape(leaf) for leaf in leaves], _names(found)
-    information = np.asarray(solution.normal.shared[0], float)
-    _refuse_open(information, names, recording.source)
-    variance = float(left @ left) / max(left.size - len(rates), 1)
-    covariance = variance * np.linalg.inv(information) * rates[:, None] * rates
+    shapes = [np.shape(leaf) for leaf in leaves]
     errors = np.split(np.sqrt(np.diag(covariance)), np.cumsum([int(np.prod(s)) for s in shapes])[:-1])
     return SceneFit(
         unknowns=found,
         standard_errors=jax.tree.unflatten(tree, [e.reshape(s) for e, s in zip(errors, shapes)]),
         covariance=covariance,
-        names=names,
+        names=_names(found),
         scene=scene,
         noise=noise,
-        iterations=int(solution.iterations),
-        ended=MEANING[int(solution.status)],
+        iterations=iterations,
+        ended=ended,
     )
+
+
+def _covariance(
+    information: np.ndarray, left: np.ndarray, rates: np.ndarray, names: tuple[str, ...], source: str
+) -> np.ndarray:
+    """By the residuals `left`; `rates` (P,) turn steps of the fit into the unknowns' own units."""
+    _refuse_open(information, names, source)
+    variance = float(left @ left) / max(left.size - len(rates), 1)
+    return variance * np.linalg.inv(information) * rates[:, None] * rates
 
 
 def _checked(recording: Recording, scales: Mapping[str, float] | None) -> tuple[float, dict[str, float]]:

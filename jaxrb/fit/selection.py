@@ -28,12 +28,19 @@ def candidates(spin: bool, attitude: bool) -> tuple[str, ...]:
 
 
 def choose(
-    problem: Problem, fitted: Fitted, always: tuple[str, ...], among: tuple[str, ...]
+    problem: Problem,
+    fitted: Fitted,
+    always: tuple[str, ...],
+    among: tuple[str, ...],
+    correlation: float = 1.0,
 ) -> tuple[Problem, Fitted, list[Tried]]:
-    """Add the nuisance that gains most until none gains more than its threshold; each by one fit from the last."""
+    """Add the nuisance that gains most until none gains more than its threshold; each by one fit from the last.
+
+    `correlation`: samples that tell as much as one would if noise were white; so many fewer are counted.
+    """
     chosen, tried = always, {}
     kept = np.asarray(fitted.data.present) * (fitted.weight > 0)[:, None, None]
-    count = 3.0 * kept.sum() * len(problem.residual.channels_used)
+    count = 3.0 * kept.sum() * len(problem.residual.channels_used) / correlation
     while True:
         base, gains = max(float(fitted.solution.cost), 1e-300), {}
         for name in (name for name in among if name not in chosen):

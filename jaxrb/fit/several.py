@@ -42,12 +42,16 @@ def as_one(recordings: Recording | Sequence[Recording]) -> Recording:
         for name in WIDTHS
         if name in first.columns()
     }
-    return Recording(
+    one = Recording(
         np.concatenate([part.time for part in parts]),
         **columns,  # pyright: ignore[reportArgumentType]
         length=np.concatenate([part.length for part in parts]),
         source=f"{len(parts)} recordings, {first.source} first",
     )
+    for part in parts:
+        for reason, count in part.left_out.items():
+            one.left_out[reason] = one.left_out.get(reason, 0) + count
+    return one
 
 
 def differentiated(recording: Recording) -> np.ndarray:
@@ -87,7 +91,7 @@ def guessed_trace(recording: Recording, flights: Flights, spin: np.ndarray) -> f
             if len(at) < 4:
                 continue
             attitude = _integrated(time[at], rate[at])
-            by_inertia = attitude @ _by_components(rate[at])
+            by_inertia = attitude @ by_components(rate[at])
             known = np.einsum("kij,kj->ki", attitude, momentum[at])
             rows.append((by_inertia - by_inertia.mean(0)).reshape(-1, 6))
             right.append(-(known - known.mean(0)).ravel())
@@ -109,7 +113,7 @@ def _integrated(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
     return np.stack(attitude)
 
 
-def _by_components(rate: np.ndarray) -> np.ndarray:
+def by_components(rate: np.ndarray) -> np.ndarray:
     """(K, 3, 6): I ω as a linear function of xx, yy, zz, xy, xz, yz."""
     x, y, z = rate.T
     o = np.zeros_like(x)

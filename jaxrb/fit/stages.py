@@ -42,6 +42,7 @@ class Problem:
     huber: float = np.inf
     prior: Prior | None = None
     max_iterations: int = 200
+    masked: np.ndarray | None = None  # (N,) True for samples that are not compared
 
     def pack(self, scales: np.ndarray, count: int | None = None) -> tuple[FlightData, np.ndarray]:
         """Padded arrays of the flights, in one piece or in windows of `count` intervals."""
@@ -49,7 +50,7 @@ class Problem:
         longest = rounded(intervals) if count is None else count * rounded(-(-intervals // count))
         return pack(
             self.recording, self.flights.flights, self.spin, scales, count,
-            longest=longest, unit=self.unit, force=self.residual.use_force,
+            longest=longest, unit=self.unit, force=self.residual.use_force, masked=self.masked,
         )  # fmt: skip
 
     def with_free(self, names: tuple[str, ...]) -> "Problem":
@@ -214,32 +215,3 @@ def _reweigh(problem: Problem, data: FlightData, squares: np.ndarray, scales: np
 
 def _account(name: str, count: int, solution: Solution) -> str:
     return f"{name} ({count}): {int(solution.iterations)} iterations, {MEANING[int(solution.status)]}"
-
-
-def profile_rises(
-    problem: Problem, fitted: Fitted, solution: Solution, moves: np.ndarray, deviations: np.ndarray
-) -> list[tuple[float, float]]:
-    """How much the cost of `solution` rises far out along each direction, and how much was foretold.
-
-    Noise can pose as information: a wobble fitted to it has a frequency that seems sharp. Twenty deviations
-    away a real signal is missed by far, while noise is fitted about as well as before.
-    """
-    rises: list[tuple[float, float]] = []
-    for move, deviation in zip(moves, deviations):
-        if not np.isfinite(deviation):
-            rises.append((0.0, np.inf))
-            continue
-        length = min(20.0 * deviation, 2.0 / max(float(np.abs(move).max()), 1e-300))
-        step = np.zeros(problem.residual.shared_size)
-        step[:RATIO_COORDINATES] = length * move
-        there = held(problem, fitted, np.asarray(problem.residual.move(solution.shared, jnp.asarray(step))))
-        rises.append((float(there.cost) - float(solution.cost), 0.5 * (length / deviation) ** 2))
-    return rises
-
-
-def held(problem: Problem, fitted: Fitted, shared: np.ndarray) -> Solution:
-    """The fit with the inertia ratios held at `shared`, everything else free."""
-    free = problem.free.copy()
-    free[:RATIO_COORDINATES] = 0.0
-    problem = dataclasses.replace(problem, free=free)
-    return solve(problem, shared, fitted.solution.local, fitted.data, fitted.weight, 40)

@@ -16,11 +16,16 @@ WIDTHS = {
     "specific_force": 3,
     "internal_momentum": 3,
 }
-ANGLE_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
+ANGLE_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0, "dps": np.pi / 180.0, "rpm": np.pi / 30.0}
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-FORCE_UNITS = {"m/s²": 1.0, "m/s^2": 1.0, "g": 9.80665}  # standard gravity, as instruments count it
-MOMENTUM_UNITS = {"kg m²/s": 1.0, "kg m^2/s": 1.0, "N m s": 1.0}
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+FORCE_UNITS = {
+    "m/s²": 1.0,
+    "m/s^2": 1.0,
+    "m/s2": 1.0,
+    "g": 9.80665,
+}  # standard gravity, as instruments count it
+MOMENTUM_UNITS = {"kg m²/s": 1.0, "kg m^2/s": 1.0, "N m s": 1.0, "Nms": 1.0, "g m²/s": 1e-3}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 
 # Quaternions of a text file with six decimals are off by 1e-6; beyond that the repair is announced,
 # and beyond 1e-3 the four numbers are more likely something else.
@@ -39,9 +44,9 @@ def factor(table: Mapping[str, float], unit: str, name: str, source: str) -> flo
 
 
 def stacked(
-    given: Mapping[str, Any], length: Columns | None, source: str
+    given: Mapping[str, Any], length: Columns | None, source: str, gaps: bool = False
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Checked float64 arrays over all samples, and the number of samples of each toss."""
+    """Checked float64 arrays over all samples, and the number of samples of each toss; with `gaps` they may be NaN."""
     if isinstance(given["time"], (list, tuple)) and len(given["time"]) and np.ndim(given["time"][0]) > 0:
         if length is not None:
             raise InvalidInput(f"{source}: time is a list with one array a toss, so leave 'length' away.")
@@ -52,13 +57,13 @@ def stacked(
                     f"{source}: field '{name}' has tosses of {count} samples, 'time' of {counts['time']}."
                 )
         parts = {
-            name: [_finite(toss, name, source) for toss in tosses if len(toss)]
+            name: [_numbers(toss, name, source, gaps) for toss in tosses if len(toss)]
             for name, tosses in given.items()
         }
         arrays = {name: np.concatenate(p) if p else np.zeros(0) for name, p in parts.items()}
         lengths = np.asarray(counts["time"])
     else:
-        arrays = {name: _finite(value, name, source) for name, value in given.items()}
+        arrays = {name: _numbers(value, name, source, gaps) for name, value in given.items()}
         lengths = _lengths(length, arrays["time"].size, source)
     for name, array in arrays.items():
         expected = (int(lengths.sum()), *((WIDTHS[name],) if name in WIDTHS else ()))
@@ -83,17 +88,17 @@ def _lengths(length: Columns | None, samples: int, source: str) -> np.ndarray:
     return lengths.astype(np.int64)
 
 
-def _finite(value: Any, name: str, source: str) -> np.ndarray:
+def _numbers(value: Any, name: str, source: str, gaps: bool) -> np.ndarray:
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InvalidInput(f"{source}: field '{name}' is not an array of numbers ({error}).") from None
     bad = np.argwhere(~np.isfinite(array))
-    if bad.size:
+    if bad.size and not gaps:
         place = tuple(int(i) for i in bad[0])
         raise InvalidInput(
             f"{source}: field '{name}' is {array[place]} at index {place} ({len(bad)} such values). "
-            "Cut the recording there, or leave that toss away."
+            "Cut the recording there, leave that toss away, or give gaps='leave out'."
         )
     return array
 
@@ -109,7 +114,7 @@ def check_time(time: np.ndarray, lengths: np.ndarray, source: str) -> None:
         toss = int(np.searchsorted(np.cumsum(lengths), k, side="right"))
         raise InvalidInput(
             f"{source}: field 'time' goes from {time[k]} to {time[k + 1]} at sample {k + 1} (toss {toss}), "
-            "but must increase. Remove repeated samples, or give 'length' if a new toss begins there."
+            "but must increase. Leave repeated samples out (gaps='leave out'), or give 'length' if a toss begins there."
         )
 
 

@@ -8,7 +8,7 @@ what cannot be right is refused.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -18,6 +18,7 @@ from jaxrb.io.columns import (
     ANGLE_UNITS,
     FORCE_UNITS,
     LENGTH_UNITS,
+    MOMENTUM_UNITS,
     TIME_UNITS,
     WIDTHS,
     Columns,
@@ -26,6 +27,7 @@ from jaxrb.io.columns import (
     stacked,
     unit_and_continuous,
 )
+from jaxrb.io.recording_gaps import without_gaps
 from jaxrb.math import Quaternion
 
 
@@ -45,11 +47,14 @@ class Recording:
         velocity: (N, 3) [m/s, or `length_unit` per second], world frame.
         specific_force: (N, 3) [m/s², or `specific_force_unit`] of an accelerometer, body frame: zero at the centre of
             mass in free flight, +9.8 upwards at rest.
-        internal_momentum: (N, 3) [kg m²/s] angular momentum of a wheel inside, relative to the body, body frame. The
+        internal_momentum: (N, 3) [kg m²/s, or `internal_momentum_unit`] angular momentum of a wheel inside, relative
+            to the body, body frame; also (3,) where it is the same throughout, or (T, 3) with one for each toss. The
             whole has I ω + this, with I the inertia of everything.
         length: (T,) number of samples in each toss.
-        time_unit: "s", "ms" or "us". angular_velocity_unit: "rad/s" or "deg/s". length_unit: "m", "cm", "mm".
-        specific_force_unit: "m/s²" or "g" (9.80665 m/s²).
+        time_unit: "s", "ms", "us" or "ns". angular_velocity_unit: "rad/s", "deg/s", "rpm". length_unit: "m", "cm",
+            "mm". specific_force_unit: "m/s²" or "g" (9.80665 m/s²). internal_momentum_unit: "kg m²/s", "N m s".
+        gaps: "refuse" or "leave out" samples that are not finite or whose time does not increase; `left_out` then
+            counts them. Where the clock starts again, so does a toss.
         metadata: anything that JSON can hold: body, instrument, truth.
         source: what error messages call this recording, such as the file's name.
 
@@ -69,6 +74,7 @@ class Recording:
     length: np.ndarray
     metadata: dict[str, Any] = field(default_factory=dict)
     source: str = "Recording"
+    left_out: dict[str, int] = field(default_factory=dict)
 
     def __init__(
         self,
@@ -86,6 +92,8 @@ class Recording:
         angular_velocity_frame: str = "body",
         length_unit: str = "m",
         specific_force_unit: str = "m/s²",
+        internal_momentum_unit: str = "kg m²/s",
+        gaps: Literal["refuse", "leave out"] = "refuse",
         metadata: Mapping[str, Any] | None = None,
         source: str = "Recording",
     ):
@@ -102,7 +110,17 @@ class Recording:
             raise InvalidInput(
                 f"{source}: only 'time' is given. Add angular_velocity, orientation or position."
             )
-        arrays, lengths = stacked({"time": time, **given}, length, source)
+        if gaps not in ("refuse", "leave out"):
+            raise InvalidInput(f"{source}: gaps is {gaps!r}; give 'refuse' or 'leave out'.")
+        left_out: dict[str, int] = {}
+        wheel = _constant(given, time, length, source)
+        arrays, lengths = stacked({"time": time, **given}, length, source, gaps == "leave out")
+        if wheel is not None:
+            arrays["internal_momentum"] = np.repeat(
+                np.broadcast_to(wheel, (len(lengths), 3)), lengths, axis=0
+            )
+        if gaps == "leave out":
+            arrays, lengths, left_out = without_gaps(arrays, lengths, source)
         check_time(arrays["time"], lengths, source)
         metre = factor(LENGTH_UNITS, length_unit, "length_unit", source)
         scales = {
@@ -112,7 +130,9 @@ class Recording:
             "position": metre,
             "velocity": metre,
             "specific_force": factor(FORCE_UNITS, specific_force_unit, "specific_force_unit", source),
-            "internal_momentum": 1.0,
+            "internal_momentum": factor(
+                MOMENTUM_UNITS, internal_momentum_unit, "internal_momentum_unit", source
+            ),
         }
         with np.errstate(over="ignore"):
             arrays = {name: array * scales[name] for name, array in arrays.items()}
@@ -134,6 +154,7 @@ class Recording:
         object.__setattr__(self, "length", lengths)
         object.__setattr__(self, "metadata", dict(metadata or {}))
         object.__setattr__(self, "source", source)
+        object.__setattr__(self, "left_out", left_out)
 
     @property
     def tosses(self) -> int:
@@ -149,6 +170,23 @@ class Recording:
         """Every quantity that was recorded, `time` first."""
         named = {name: getattr(self, name) for name in ("time", *WIDTHS)}
         return {name: array for name, array in named.items() if array is not None}
+
+
+def _constant(given: dict[str, Any], time: Any, length: Any, source: str) -> np.ndarray | None:
+    """Take a wheel's momentum that does not change, (3,) or (T, 3), out of `given`."""
+    wheel = given.get("internal_momentum")
+    if wheel is None or (isinstance(wheel, (list, tuple)) and len(wheel) and np.ndim(wheel[0]) > 1):
+        return None
+    listed = isinstance(time, (list, tuple)) and len(time) > 0 and np.ndim(time[0]) > 0
+    tosses = len(time) if listed else 1 if length is None else len(length)
+    shape = np.shape(wheel)
+    if shape != (3,) and (shape != (tosses, 3) or (not listed and tosses == len(time))):
+        return None
+    del given["internal_momentum"]
+    value = np.asarray(wheel, float)
+    if not np.isfinite(value).all():
+        raise InvalidInput(f"{source}: field 'internal_momentum' is {value.tolist()}; give finite numbers.")
+    return value
 
 
 def _into_body(arrays: Mapping[str, np.ndarray], source: str) -> np.ndarray:

@@ -12,20 +12,25 @@ Our NPZ layout, schema 1, SI units and jaxrb's frames throughout:
     length              (T,) whole numbers: samples of each toss
     metadata            (), text: a JSON object
 
-The stacked layout of some public data sets has `length` and `rate_hz` (samples a second) in place of `time`.
+The stacked layout of some public data sets has `length` and `rate_hz` (samples a second) in place of `time`. Other
+layouts may call their arrays `t`, `gyro`, `gyro_dps`, `acc_g`, … (`jaxrb.io.recording_names`); `toss` (N,) may number
+each sample's toss in place of `length`; internal_momentum may be (3,) or (T, 3) where it does not change.
 """
 
 import json
+import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from jaxrb.errors import InvalidInput, LimitExceeded
+from jaxrb.errors import InvalidInput, JaxrbWarning, LimitExceeded
 from jaxrb.io.columns import WIDTHS
 from jaxrb.io.npz import read_arrays, write_whole
 from jaxrb.io.recording import Recording
-from jaxrb.io.recording_csv import csv_text, read_csv
+from jaxrb.io.recording_csv import csv_text, lengths_of, read_csv
+from jaxrb.io.recording_names import field
 
 SCHEMA = 1
 _EXTRA = {"toss_id", "length", "metadata", "jaxrb_recording", "rate_hz"}
@@ -34,17 +39,25 @@ _EXTRA = {"toss_id", "length", "metadata", "jaxrb_recording", "rate_hz"}
 def read_recording(
     file: str | Path,
     *,
-    angular_velocity_unit: Literal["rad/s", "deg/s"] | None = None,
+    time_unit: str | None = None,
+    angular_velocity_unit: str | None = None,
     angular_velocity_frame: Literal["body", "world"] | None = None,
-    length_unit: Literal["m", "cm", "mm"] | None = None,
+    length_unit: str | None = None,
+    specific_force_unit: str | None = None,
+    internal_momentum: Sequence[float] | None = None,
+    internal_momentum_unit: str | None = None,
+    gaps: Literal["refuse", "leave out"] = "refuse",
     max_bytes: int = 2**31,
 ) -> Recording:
     """Read a recording from an NPZ or CSV file (layouts: this module and `jaxrb.io.recording_csv`).
 
     Args:
         file: its name ends in .npz or .csv.
-        angular_velocity_unit, angular_velocity_frame, length_unit: what a file that does not say so itself
-            holds. Our own NPZ layout and the units in a CSV header leave nothing to declare.
+        time_unit, angular_velocity_unit, angular_velocity_frame, length_unit, specific_force_unit,
+            internal_momentum_unit: what a file that does not say so itself holds, as of `Recording`. Our own NPZ layout
+            and the units in a CSV header leave nothing to declare.
+        internal_momentum: (3,) [kg m²/s, or its unit] of a wheel at constant speed, which the file does not hold.
+        gaps: "leave out" samples with missing values, repeated or out of order, and count them.
         max_bytes: refuse files that would unpack to more.
 
     Raises:
@@ -56,7 +69,12 @@ def read_recording(
         raise InvalidInput(
             f"{path}: no such file (or not a file). Give the path of an .npz or .csv recording."
         )
-    declared = {
+    declared: dict[str, Any] = {
+        "time_unit": time_unit,
+        "specific_force_unit": specific_force_unit,
+        "internal_momentum": internal_momentum,
+        "internal_momentum_unit": internal_momentum_unit,
+        "gaps": None if gaps == "refuse" else gaps,
         "angular_velocity_unit": angular_velocity_unit,
         "angular_velocity_frame": angular_velocity_frame,
         "length_unit": length_unit,
@@ -102,13 +120,10 @@ def write_recording(recording: Recording, file: str | Path) -> Path:
 
 
 def _from_arrays(path: Path, arrays: dict[str, np.ndarray], declared: dict[str, Any]) -> Recording:
-    known = {"time", *WIDTHS, *_EXTRA}
-    unknown = sorted(set(arrays) - known)
-    if unknown:
-        raise InvalidInput(
-            f"{path}: field {unknown[0]!r} is not known ({len(unknown)} such). Known are "
-            f"{', '.join(sorted(known))}; rename it, or leave it away."
-        )
+    ours = "jaxrb_recording" in arrays
+    if not ours:
+        arrays, units = _known(path, arrays)
+        declared = {**units, **declared}
     metadata: dict[str, Any] = {}
     if "jaxrb_recording" in arrays:
         version = arrays["jaxrb_recording"]
@@ -117,8 +132,13 @@ def _from_arrays(path: Path, arrays: dict[str, np.ndarray], declared: dict[str, 
                 f"{path}: field 'jaxrb_recording' (schema version) is {version}; this jaxrb reads 1 to "
                 f"{SCHEMA}. Update jaxrb."
             )
-        if declared:
-            raise InvalidInput(f"{path}: our own layout is in SI units; leave {', '.join(declared)} away.")
+        units = [name for name in declared if name.endswith(("_unit", "_frame"))]
+        if units:
+            raise InvalidInput(f"{path}: our own layout is in SI units; leave {', '.join(units)} away.")
+        if unknown := sorted(set(arrays) - {"time", *WIDTHS, *_EXTRA}):
+            raise InvalidInput(
+                f"{path}: field {unknown[0]!r} is not known ({len(unknown)} such); leave it away."
+            )
         try:
             metadata = json.loads(str(arrays["metadata"])) if "metadata" in arrays else {}
         except json.JSONDecodeError as error:
@@ -128,7 +148,42 @@ def _from_arrays(path: Path, arrays: dict[str, np.ndarray], declared: dict[str, 
     if "time" not in arrays:
         arrays = {**arrays, "time": _time_at_rate(path, arrays)}
     fields = {name: arrays[name] for name in ("time", *WIDTHS, "length") if name in arrays}
-    return Recording(**fields, **declared, metadata=metadata, source=str(path))
+    if "toss" in arrays and "length" not in arrays:
+        fields["length"] = lengths_of(str(path), np.asarray(arrays["toss"]).ravel())
+    return Recording(**{**fields, **declared}, metadata=metadata, source=str(path))
+
+
+_UNIT_OF = {
+    "time": "time_unit", "angular_velocity": "angular_velocity_unit", "position": "length_unit",
+    "velocity": "length_unit", "specific_force": "specific_force_unit", "internal_momentum": "internal_momentum_unit",
+}  # fmt: skip
+
+
+def _known(path: Path, arrays: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Arrays by our names, and the units that their names hold; others are left aside with a warning."""
+    known, units, aside = {}, {}, []
+    for key, array in arrays.items():
+        name, unit = (key, None) if key in {"time", *WIDTHS, *_EXTRA} else field(key) or (None, None)
+        if name is None:
+            aside.append(key)
+            continue
+        if name in known:
+            raise InvalidInput(f"{path}: two fields hold {name}, one of them {key!r}; leave one away.")
+        known[name] = array
+        if unit is not None and name in _UNIT_OF:
+            units[_UNIT_OF[name]] = unit
+    if aside and len(aside) == len(arrays) - ("time" in known):
+        raise InvalidInput(
+            f"{path}: field {aside[0]!r} is not known ({len(aside)} such). Known are "
+            f"{', '.join(sorted({'time', *WIDTHS, *_EXTRA}))}; rename it, or leave it away."
+        )
+    if aside:
+        warnings.warn(
+            f"{path}: fields {', '.join(map(repr, aside[:6]))} are not known and are left aside.",
+            JaxrbWarning,
+            stacklevel=4,
+        )
+    return known, units
 
 
 def _time_at_rate(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
