@@ -2,6 +2,7 @@
 
 import faulthandler
 import json
+import os
 import resource
 import sys
 import time
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxrb.errors import JaxrbError, JaxrbWarning
+from jaxrb.hard import fuzz_compiler
 from jaxrb.hard.fuzz_formats import FORMATS, spoiled
 
 SECONDS, MEMORY = 2.0, 2**30  # of the processor, and bytes, that reading a file may take
@@ -23,6 +25,8 @@ def main(folder: Path, name: str, first: int, count: int, seed: int) -> None:
     seeds = {file.stem: file.read_bytes() for file in sorted(folder.glob("*.seed"))}
     own = [data for stem, data in seeds.items() if stem.split("-")[0] == name]
     path = folder / f"spoiled{kind.suffix}"
+    if kind.compiled and hasattr(os, "fork"):
+        fuzz_compiler.installed()
     for data in own:  # a whole file is read first, so that what is loaded and compiled once is no file's cost
         path.write_bytes(data)
         attempt(name, path)

@@ -4,17 +4,24 @@ reads as many of each as the figures in docs/hard_cases.md are of."""
 import dataclasses
 import importlib.util
 import json
+import os
 import pathlib
+import subprocess
 import sys
 import time
+import warnings
 
+import jax
 import numpy as np
 import pytest
 
-from jaxrb.errors import InvalidInput, JaxrbWarning, UnknownName
+from jaxrb.body.body import Body
+from jaxrb.errors import InvalidInput, JaxrbWarning, LimitExceeded, UnknownName
+from jaxrb.geometry.primitives import Sphere
 from jaxrb.hard import fuzz as fuzzer
-from jaxrb.hard import fuzz_child
+from jaxrb.hard import fuzz_child, fuzz_compiler
 from jaxrb.hard.fuzz_formats import FORMATS, spoiled
+from jaxrb.io.models import child, load_mjcf
 
 # A model that looks whole is compiled by MuJoCo, in a process of its own.
 COUNT = {"scene": 100, "checkpoint": 100, "mjcf": 40, "urdf": 40}
@@ -102,9 +109,58 @@ def test_faults_are_found_and_told_and_a_process_that_dies_is_followed_by_anothe
     assert sum(kept[number]) % 16 >= 5, text
 
 
-def warned(path):
-    import warnings
+FORKS = """
+import json, os, sys, time
 
+from jaxrb.hard.fuzz_compiler import _forked
+
+def main():
+    do = sys.stdin.buffer.readline().strip()
+    rest = sys.stdin.buffer.read()
+    if do == b"sleep":
+        time.sleep(60)
+    if do == b"die":
+        os.kill(os.getpid(), 9)
+    if do == b"raise":
+        raise KeyError("odd")
+    print(len(rest), flush=True)
+
+for do, timeout in ((b"print", 30), (b"die", 30), (b"raise", 30), (b"sleep", 0.3), (b"print", 30)):
+    found = _forked(main, do + b"\\n" + b"x" * 300_000, timeout)  # more than a pipe holds
+    print(json.dumps([part.decode() for part in found]), flush=True)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="models are compiled in forks where the system has them")
+def test_a_fork_answers_as_a_process_of_its_own():
+    """What it prints, how it ended, and that it is killed when it takes too long; then the next one."""
+    done = subprocess.run([sys.executable, "-c", FORKS], capture_output=True, text=True, check=True)
+    told = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [part[0] for part in told] == ["0", "-9", "1", "null", "0"]
+    assert told[0][1] == told[4][1] == "300000\n"
+    assert "KeyError" in told[2][2]
+
+
+@pytest.mark.skipif("mjcf" not in FORMATS, reason="needs mujoco")
+def test_models_compiled_in_forks_read_as_models_compiled_in_processes(monkeypatch, tmp_path):
+    monkeypatch.setattr(child, "subprocess", child.subprocess)
+    file = tmp_path / "model.xml"
+    file.write_bytes(FORMATS["mjcf"].seeds()[1])
+    here = load_mjcf(file)
+    compiler = fuzz_compiler.installed()
+    there = load_mjcf(file)
+    with pytest.raises(LimitExceeded, match="max_memory"):
+        load_mjcf(file, max_memory=2**24)
+    with pytest.raises(LimitExceeded, match="timeout"):
+        load_mjcf(file, timeout=1e-6)
+    load_mjcf(file)
+    assert compiler.forks == 4
+    compiler.close()
+    for one, other in zip(jax.tree.leaves(here.scene), jax.tree.leaves(there.scene), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def warned(path):
     warnings.warn("odd", RuntimeWarning if "foreign" in path.name else JaxrbWarning, stacklevel=1)
 
 
@@ -138,3 +194,13 @@ def test_faults_found_once_stay_mended(tmp_path):
     file.write_bytes(b"solid box\nfacet normal 0 0 1\nouter".ljust(34)[:34])
     with pytest.raises(InvalidInput, match="endsolid"):
         FORMATS["stl"].read(pathlib.Path(file))
+
+
+@pytest.mark.parametrize("far", [1e200, 1e-3])
+def test_a_centre_beyond_what_can_be_squared_is_told_as_outside(far):
+    """Found by the fuzzer: NumPy complained of an overflow where the centre of mass was looked at."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        Body(1.0, 1.0, Sphere(0.1), (far, 0.0, 0.0))
+    said = [(w.category, "outside the body" in str(w.message)) for w in caught]
+    assert said == ([(JaxrbWarning, True)] if far > 1 else [])
