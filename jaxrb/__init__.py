@@ -89,18 +89,6 @@ from jaxrb.integrators import (
     ThreeAxisSplitting4,
     VelocityVerlet,
 )
-from jaxrb.joints import (
-    BallJoint,
-    Distance,
-    Hinge,
-    Joint,
-    JointLimit,
-    JointMotor,
-    JointServo,
-    JointSpring,
-    Slider,
-    Weld,
-)
 from jaxrb.math import (
     Drift,
     EulerAngles,
@@ -116,11 +104,8 @@ from jaxrb.scene import (
     Path,
     Scene,
     angular_momentum,
-    assembled,
     energy,
     free_flight,
-    joint_error,
-    joint_reactions,
     momentum,
     solve,
     step,
@@ -142,11 +127,25 @@ if TYPE_CHECKING:
     from jaxrb.fit import fit_scene as fit
     from jaxrb.io import Recording, read_mesh, read_recording, replay, run, write_recording
     from jaxrb.io.models import Model, load_mjcf, load_urdf
+    from jaxrb.joints import (
+        BallJoint,
+        Distance,
+        Hinge,
+        Joint,
+        JointLimit,
+        JointMotor,
+        JointServo,
+        JointSpring,
+        Slider,
+        Weld,
+    )
     from jaxrb.scene.adams import SmoothPath, solve_smooth
     from jaxrb.scene.adaptive import AdaptivePath, solve_contact
     from jaxrb.scene.events import EventPath, solve_events
+    from jaxrb.scene.joints import assembled, joint_error, joint_reactions
     from jaxrb.scene.worlds import WorldPaths, rollout_worlds
     from jaxrb.view.glb_animation import save_glb
+    from jaxrb.view.live import LiveView, view_live
 
 __version__ = "0.1.0"
 
@@ -180,6 +179,19 @@ _LATER = {
     "replay": "jaxrb.io",
     "run": "jaxrb.io",
     "write_recording": "jaxrb.io",
+    "BallJoint": "jaxrb.joints",
+    "Distance": "jaxrb.joints",
+    "Hinge": "jaxrb.joints",
+    "Joint": "jaxrb.joints",
+    "JointLimit": "jaxrb.joints",
+    "JointMotor": "jaxrb.joints",
+    "JointServo": "jaxrb.joints",
+    "JointSpring": "jaxrb.joints",
+    "Slider": "jaxrb.joints",
+    "Weld": "jaxrb.joints",
+    "assembled": "jaxrb.scene.joints",
+    "joint_error": "jaxrb.scene.joints",
+    "joint_reactions": "jaxrb.scene.joints",
     "SmoothPath": "jaxrb.scene.adams",
     "solve_smooth": "jaxrb.scene.adams",
     "WorldPaths": "jaxrb.scene.worlds",
@@ -189,6 +201,8 @@ _LATER = {
     "EventPath": "jaxrb.scene.events",
     "solve_events": "jaxrb.scene.events",
     "save_glb": "jaxrb.view.glb_animation",
+    "LiveView": "jaxrb.view.live",
+    "view_live": "jaxrb.view.live",
 }
 
 

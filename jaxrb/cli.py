@@ -43,6 +43,8 @@ def bench(
         "methods",
         "adams",
         "peers",
+        "engines",
+        "growth",
         "effects",
         "bounds",
         "collision",
@@ -63,12 +65,13 @@ def bench(
 
     Args:
         what: speed of steps and gradients; the closed form of free flight; all methods beside each other; stabilised
-            Adams beside its peers; one body beside MuJoCo, diffrax and SciPy at equal error; whether a scene
-            pays only for its effects; bounding volumes, the hierarchy of boxes and the broad phase; distances and
-            depths of pairs of shapes; boxes falling on a floor and on each other, beside MuJoCo; 100 to
-            10,000 balls in a box; inertia from a gyroscope beside the Cramér–Rao bound and MuJoCo; joints against
-            closed forms and published mechanisms;
-            what `rb.memory` says beside what runs take.
+            Adams beside its peers; one body beside MuJoCo, diffrax and SciPy at equal error; engines: jaxrb, MuJoCo,
+            MJX, Brax, diffrax and heyoka in turns (JAXRB_PEERS_PYTHON names a Python that has those which this one
+            has not); growth: cost against bodies, contacts, worlds, steps and devices; whether a scene pays only for
+            its effects; bounding volumes, the hierarchy of boxes and the broad phase; distances and depths of pairs
+            of shapes; boxes falling on a floor and on each other, beside MuJoCo; 100 to 10,000 balls in a box; inertia
+            from a gyroscope beside the Cramér–Rao bound and MuJoCo; joints against closed forms and published
+            mechanisms; what `rb.memory` says beside what runs take.
         planner: instead, the time of the planner's picks over the best that a fine search finds, on a grid of scenes
             and tolerances (some minutes).
         json: print one JSON object instead of a table.

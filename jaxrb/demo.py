@@ -104,7 +104,7 @@ def _points(bodies: int = 100, duration: float = 20.0) -> list[Point]:
 
 def _fit() -> tuple[Any, Any]:
     recording = read_recording(TUMBLING_BRICK)
-    return recording, fit_inertia(recording)
+    return recording, fit_inertia(recording, nuisances=())
 
 
 def _toss(recording: Any, fitted: Any) -> tuple[Any, Any, Any]:

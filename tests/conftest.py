@@ -6,6 +6,7 @@ it in float32. Every test runs in both; its tolerances are keyed by the type.
 With JAXRB_CHECK_SHAPES=1 in the environment every annotated shape in jaxrb is checked by beartype at each call.
 """
 
+import gc
 import os
 import pathlib
 
@@ -22,6 +23,21 @@ if os.environ.get("JAXRB_CHECK_SHAPES") == "1":
     collect_ignore_glob = ["test_bad_inputs_*.py"]
 
 ORACLE = pathlib.Path(__file__).resolve().parent.parent.parent / "shared" / "oracle"
+
+
+# Each compiled program keeps dozens of mappings of memory, of which Linux gives a process 65530; with none left, the
+# compiler ends it by a segmentation fault.
+_MAPPINGS = pathlib.Path("/proc/self/maps")
+_MANY = 20_000
+
+
+@pytest.fixture(scope="module", autouse=True)
+def programs():
+    """Forgets the programs of earlier files before they are too many for one process."""
+    yield
+    if _MAPPINGS.exists() and _MAPPINGS.read_bytes().count(b"\n") > _MANY:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(scope="session")

@@ -116,6 +116,25 @@ def test_simulate_runs_saves_and_draws(tmp_path):
         assert saved["time"][-1] == pytest.approx(0.1)
 
 
+MODEL = """<mujoco model="spin"><option timestep="0.01"/><worldbody><body pos="0 0 1"><freejoint/>
+<geom type="box" size=".1 .05 .02" density="700"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("command", "key"),
+    [
+        (("plan", "spin.xml", "1e-6", "--duration", "0.5"), "tolerance"),
+        (("gradient-check", "spin.xml", "--duration", "0.2", "--of", "z"), "scene"),
+    ],
+)
+def test_models_are_scenes_of_every_command(command, key, tmp_path):
+    pytest.importorskip("mujoco")
+    (tmp_path / "spin.xml").write_text(MODEL)
+    done = jaxrb(*command, "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert key in json.loads(done.stdout)
+
+
 def test_simulate_suggests_the_scene_that_was_meant():
     done = jaxrb("simulate", "domino-rows")
     assert done.returncode == 1

@@ -4,6 +4,7 @@ import os
 import socket
 import subprocess
 import sys
+import time
 
 import jax
 import jax.numpy as jnp
@@ -50,6 +51,16 @@ except rb.JaxrbError as error:
     print(type(error).__name__, error)
 """
 
+_LONG = """
+number, address = int(sys.argv[1]), sys.argv[2]
+jax.distributed.initialize(address, 2, number, coordinator_bind_address=address, heartbeat_timeout_seconds=5)
+mesh = jax.make_mesh((jax.device_count(),), ("worlds",))
+run([world(2 * i) for i in range(4)], sharding=mesh)
+print("running", flush=True)
+scenes = [world(2 * i) for i in range(4)]
+rb.rollout_worlds(scenes, dt=1e-6, steps=2_000_000_000, save_every=2_000_000_000, sharding=mesh)
+"""
+
 
 def start(program, *arguments, flags=""):
     command = [sys.executable, "-W", "ignore", "-c", _WORLDS + program, *arguments]
@@ -74,11 +85,44 @@ def test_eight_devices_give_the_bits_of_one_and_say_what_they_add():
     assert "9 worlds of one structure over 8 devices: 7 copies" in out
 
 
-def test_two_processes_give_the_bits_of_one_and_must_agree_on_the_worlds():
+def address():
+    """One that is free, on this machine alone."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{free.getsockname()[1]}"
-    both = [start(_PROCESSES, str(number), address) for number in range(2)]
+        return f"127.0.0.1:{free.getsockname()[1]}"
+
+
+def test_a_killed_process_ends_the_other_soon_and_says_how_to_go_on():
+    """Killed: the second, and the first, in which JAX's service runs."""
+    pairs = []
+    for lost in (1, 0):
+        where = address()
+        pairs.append((lost, [start(_LONG, str(number), where) for number in range(2)]))
+    try:
+        for _, both in pairs:
+            for process in both:
+                while "running" not in process.stdout.readline():
+                    assert process.poll() is None, process.stderr.read()
+        time.sleep(1.0)  # within the run, not before it
+        killed = time.monotonic()
+        for lost, both in pairs:
+            both[lost].kill()
+        for lost, both in pairs:
+            _, told = both[1 - lost].communicate(timeout=60)
+            assert time.monotonic() - killed < 15.0
+            assert both[1 - lost].returncode != 0
+            assert f"process {1 - lost} of 2" in told
+            assert "Start all of them again" in told
+    finally:
+        for _, both in pairs:
+            for process in both:
+                process.kill()
+                process.communicate()
+
+
+def test_two_processes_give_the_bits_of_one_and_must_agree_on_the_worlds():
+    where = address()
+    both = [start(_PROCESSES, str(number), where) for number in range(2)]
     for process in both:
         lines = [line for line in ended(process).splitlines() if not line.startswith("[Gloo]")]
         assert lines[0] == "2 True"

@@ -38,7 +38,7 @@ recording = rb.Recording(path.times, path.states.angular_velocity[:, 0], positio
 """,
 }
 SHORTER = {
-    "identification.md": {', nuisances="auto"': ""},
+    "identification.md": {'read_recording("throw.csv")': 'read_recording("throw.csv"), nuisances=()'},
     "long_runs.md": {"steps=10_000_000": "steps=20_000"},
 }
 

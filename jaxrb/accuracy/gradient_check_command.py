@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from jaxrb.accuracy.gradient_check import STEPS, gradient_check
 from jaxrb.accuracy.gradient_check_report import GradientCheck
 from jaxrb.errors import InvalidInput
+from jaxrb.io.models.load import example_named
 from jaxrb.scene.example import Example
-from jaxrb.scene.library import example_of
 from jaxrb.scene.rollout import rollout
 
 _HORIZONS = 32
@@ -41,7 +41,8 @@ def gradient_check_of_scene(
     Example: jaxrb gradient-check cube_toss --duration 0.5 --with-respect-to angular_velocity --plot cube.png
 
     Args:
-        scene: a name (those of simulate and work-precision), or a Python file that defines scene, state and duration.
+        scene: a name (those of simulate and work-precision), a Python file that defines scene, state and duration, or a
+            model (.xml, .urdf).
         of: the axis along which the final position is looked at.
         with_respect_to: the part of the start that varies.
         body: number of the body.
@@ -54,7 +55,7 @@ def gradient_check_of_scene(
     """
     from tqdm import tqdm
 
-    example = example_of(scene)
+    example = example_named(scene)
     with tqdm(total=2 * 3 * len(STEPS), disable=not sys.stderr.isatty(), leave=False, unit=" runs") as bar:
         found, facts = checked_run(
             example, "xyz".index(of), with_respect_to, body, dt, duration, method, growth, bar.update

@@ -53,9 +53,9 @@ def work_precision(
 
     Args:
         scene: a name (tumbling_brick, dzhanibekov, heavy_top, lagrange_top, thrown_brick, gazebo_boxes,
-            gazebo_boxes_simple, free_boxes, double_spring), or a Python file that defines scene, state and duration;
-            or, with contact, bouncing_ball, sliding_block, cube_toss, "contact" for all three: solve_contact beside
-            fixed steps and MuJoCo, in float64.
+            gazebo_boxes_simple, free_boxes, double_spring), a Python file that defines scene, state and duration, or a
+            model (.xml, .urdf); or, with contact, bouncing_ball, sliding_block, cube_toss, "contact" for all three:
+            solve_contact beside fixed steps and MuJoCo, in float64.
         representations: of rotations.
         precisions: float64, float32 or both.
         levels: numbers of steps for each method, each four times the last.
@@ -65,7 +65,7 @@ def work_precision(
     """
     from jaxrb.accuracy.contact_scenes import CASES
     from jaxrb.accuracy.work_precision import work_precision as measured
-    from jaxrb.scene.library import example_of
+    from jaxrb.io.models.load import example_named
     from jaxrb.scene.settings import check_count
 
     key = scene.lower().replace("-", "_")
@@ -73,7 +73,7 @@ def work_precision(
         _work_precision_of_contact(() if key == "contact" else (key,), front, figure, json)
         return
     check_count("levels", levels, 1)
-    found = measured(example_of(scene), representations, precisions, levels, _bar("methods"))
+    found = measured(example_named(scene), representations, precisions, levels, _bar("methods"))
     if figure is not None:
         from jaxrb.view import figures
 
@@ -163,15 +163,15 @@ def plan(
     Example: jaxrb plan heavy_top 1e-6
 
     Args:
-        scene: a name or a Python file, as for work-precision.
+        scene: a name, a Python file or a model (.xml, .urdf), as for simulate.
         tolerance: on the attitude [rad] of the worst body; on position and energy relative to their scales.
         duration: [s]; by default the scene's own.
         json: print one JSON object instead of text.
     """
     from jaxrb.accuracy.planner import plan as planned
-    from jaxrb.scene.library import example_of
+    from jaxrb.io.models.load import example_named
 
-    example = example_of(scene)
+    example = example_named(scene)
     state = example.state()
     span = example.duration if duration is None else duration
     found = planned(example.scene, state, float(state.time) + span, tolerance)
@@ -195,7 +195,7 @@ def cost(
     Example: jaxrb cost thrown_brick --tolerance 1e-3
 
     Args:
-        scene: a name or a Python file, as for work-precision.
+        scene: a name, a Python file or a model (.xml, .urdf), as for simulate.
         tolerance: [rad and m]; name the effects that the scene can do without within it.
         dt: step [s]; by default a thousandth of the scene's duration.
         method: how to advance.
@@ -204,9 +204,9 @@ def cost(
     """
     from jaxrb.accuracy.cost import cost as measured
     from jaxrb.accuracy.recommend import recommend
-    from jaxrb.scene.library import example_of
+    from jaxrb.io.models.load import example_named
 
-    example = example_of(scene)
+    example = example_named(scene)
     state = example.state()
     step = example.duration / 1000 if dt is None else dt
     steps = max(1, round(example.duration / step))

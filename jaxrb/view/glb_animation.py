@@ -24,8 +24,8 @@ _Z_UP = [
     np.sqrt(0.5),
 ]  # glTF has y up; Blender turns it back, so z is up there again
 # The viewer's colours, as linear light.
-_COLOURS = [(91, 141, 184), (221, 154, 87), (111, 165, 138), (185, 121, 155), (215, 189, 92), (127, 134, 196)]
-_STILL = (154, 154, 150)
+COLOURS = [(91, 141, 184), (221, 154, 87), (111, 165, 138), (185, 121, 155), (215, 189, 92), (127, 134, 196)]
+STILL = (154, 154, 150)
 
 
 def save_glb(path: Path, file: str | os.PathLike) -> File:
@@ -67,7 +67,7 @@ def glb_of(path: Path) -> bytes:
     document = _Document()
     roots = []
     for i, seen in enumerate(bodies_of(path.scene)):
-        node = document.body(seen, _COLOURS[i % len(_COLOURS)])
+        node = document.body(seen, COLOURS[i % len(COLOURS)])
         document.nodes[node] |= {
             "translation": position[0, i].tolist(),
             "rotation": turn[0, i, [1, 2, 3, 0]].tolist(),
@@ -76,7 +76,7 @@ def glb_of(path: Path) -> bytes:
     if len(times) > 1:
         document.animate(roots, times - times[0], position, turn[..., [1, 2, 3, 0]])
     for seen in obstacles_of(path.scene):
-        roots.append(document.body(_square(seen, position), _STILL))
+        roots.append(document.body(square_under(seen, position), STILL))
     document.nodes.append({"name": "world, z up", "rotation": _Z_UP, "children": roots})
     return document.bytes()
 
@@ -87,7 +87,7 @@ def _continuous(turn: np.ndarray) -> np.ndarray:
     return turn * np.concatenate([np.ones((1, turn.shape[1])), np.cumprod(agree, axis=0)])[..., None]
 
 
-def _square(seen: Seen, position: np.ndarray) -> Seen:
+def square_under(seen: Seen, position: np.ndarray) -> Seen:
     """A half-space as a square under the motion, wide enough for it; anything else as it is."""
     if seen.plane is None:
         return seen

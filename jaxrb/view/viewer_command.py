@@ -18,7 +18,7 @@ from jaxrb.scene.path import Path
 from jaxrb.scene.settings import check_positive
 from jaxrb.view.viewer import View
 from jaxrb.view.viewer_page import page_of
-from jaxrb.view.viewer_record import record_of, record_of_arrays
+from jaxrb.view.viewer_record import Record, record_of, record_of_arrays
 from jaxrb.view.viewer_scene import Seen, bodies_of, obstacles_of
 from jaxrb.view.viewer_surfaces import parts_of
 
@@ -36,55 +36,86 @@ def view(
     png: File | None = None,
     gif: File | None = None,
     glb: File | None = None,
+    live: bool = False,
+    port: int = 8080,
     json: bool = False,
 ) -> None:
-    """Write a run as one HTML page that works offline, and as pictures.
+    """Write a run as one HTML page that works offline, and as pictures; or show it in a live window.
 
     Example: jaxrb view domino_row --out dominoes.html --gif dominoes.gif
     Example: jaxrb view run.npz --scene stack_of_10
+    Example: jaxrb view run.npz --scene stack_of_10 --live
 
     Args:
         run_or_scene: a file that `jaxrb simulate --save` wrote, or a scene to run: a name, a Python file that
             defines scene, state and duration, or a model (.xml, .urdf).
         scene: the scene whose run the file holds, for its shapes, which the file has not; without it bodies are small
             boxes.
-        out: the page (.html); by default named after the run.
+        out: the page (.html); by default named after the run, and none beside a live window.
         duration: [s] to run a scene for; by default its own.
         forces: hold the effects' forces ready as arrows, and those of contact at its points. A file has the latter.
         png: the bodies at the end from the side, as a picture.
         gif: the run from the side, as a moving picture.
         glb: the run as an animation for Blender.
+        live: show it in a window of the browser, served on 127.0.0.1 until Ctrl-C (extra [live]).
+        port: of the live window; the next that is free if it is taken.
         json: print one JSON object instead of a line.
     """
-    out = File(f"{File(run_or_scene).stem}.html") if out is None else out
     pictures = {"png": png, "gif": gif, "glb": glb}
     for name, file in pictures.items():
         if file is not None and file.suffix.lower() != f".{name}":
             raise InvalidInput(f"--{name} {file}: give the file a name that ends in .{name}")
-    saved = run_or_scene.endswith(".npz")
-    if saved and scene is None:
+    if out is None and not live:
+        out = File(f"{File(run_or_scene).stem}.html")
+    if run_or_scene.endswith(".npz") and scene is None:
         if any(pictures.values()):
             raise InvalidInput(
                 f"{run_or_scene}: holds no shapes to draw; say whose run it is by --scene NAME"
             )
-        page = _without_scene(File(run_or_scene))
+        path, (record, arrays, bodies) = None, _without_scene(File(run_or_scene))
+        title = File(run_or_scene).name
     else:
-        if saved:
-            path, title = _read(File(run_or_scene), example_named(str(scene)))
-            record = record_of_arrays(
-                _arrays(File(run_or_scene)), bodies_of(path.scene), obstacles_of(path.scene), title
-            )
-        else:
-            path, title, dt = _simulated(example_named(run_or_scene), duration)
-            record = record_of(path, title, forces=forces, dt=dt)
-        page = page_of(record)
+        path, record, title = _with_scene(run_or_scene, scene, duration, forces)
+        arrays, bodies = {}, []
         _draw(path, pictures)
-    written = [View(page).save(out), *(file for file in pictures.values() if file is not None)]
-    sizes = {str(file): file.stat().st_size for file in written}
+    written = [file for file in pictures.values() if file is not None]
+    if out is not None:
+        written.insert(0, View(page_of(record)).save(out))
+    found: dict[str, Any] = {"files": {str(file): file.stat().st_size for file in written}}
+    window = _live(path, arrays, bodies, title, port) if live else None
+    if window is not None:
+        found["url"] = window.url
     if json:
-        print(json_text.dumps({"files": sizes}))
-        return
-    print("\n".join(f"{name}: {size / 1e6:.2f} MB" for name, size in sizes.items()))
+        print(json_text.dumps(found), flush=True)
+    else:
+        lines = [f"{name}: {size / 1e6:.2f} MB" for name, size in found["files"].items()]
+        lines += [] if window is None else [f"{window.url} (Ctrl-C closes it)"]
+        print("\n".join(lines), flush=True)
+    if window is not None:
+        window.wait()
+
+
+def _with_scene(
+    run_or_scene: str, scene: str | None, duration: float | None, forces: bool
+) -> tuple[Path, Record, str]:
+    """A run of a scene, or the saved one of a scene, what the page holds of it, and a title."""
+    if not run_or_scene.endswith(".npz"):
+        path, title, dt = _simulated(example_named(run_or_scene), duration)
+        return path, record_of(path, title, forces=forces, dt=dt), title
+    file = File(run_or_scene)
+    path, title = _read(file, example_named(str(scene)))
+    seen = bodies_of(path.scene), obstacles_of(path.scene)
+    return path, record_of_arrays(_arrays(file), *seen, title), title
+
+
+def _live(path: Path | None, arrays: dict[str, np.ndarray], bodies: list[Seen], title: str, port: int) -> Any:
+    from jaxrb.view.live import LiveView, view_live
+
+    if path is not None:
+        return view_live(path, title=title, port=port)
+    window = LiveView(bodies, [], title, port)
+    window.play(*(np.asarray(arrays[name], float) for name in ("time", "position", "orientation_wxyz")))
+    return window
 
 
 def _simulated(example: Example, duration: float | None) -> tuple[Path, str, float]:
@@ -122,7 +153,7 @@ def _read(file: File, example: Example) -> tuple[Path, str]:
     return Path(states.time, states, state, None, example.scene), title  # type: ignore[arg-type]
 
 
-def _without_scene(file: File) -> str:
+def _without_scene(file: File) -> tuple[Record, dict[str, np.ndarray], list[Seen]]:
     """Small boxes of one size: all that a file without shapes tells is where bodies are."""
     from jaxrb.geometry.primitives import Box
 
@@ -138,7 +169,7 @@ def _without_scene(file: File) -> str:
     parts = parts_of(Box(size * np.array([1.0, 0.7, 0.4])))
     note = "the file holds no shapes: drawn as equal boxes (--scene NAME gives the shapes of a scene)"
     bodies = [Seen(f"body {i}" if count > 1 else "body", parts, note) for i in range(count)]
-    return page_of(record_of_arrays(arrays, bodies, [], file.name))
+    return record_of_arrays(arrays, bodies, [], file.name), arrays, bodies
 
 
 def _draw(path: Path, pictures: dict[str, Any]) -> None:

@@ -45,8 +45,9 @@ def test_forces_among_a_crowd_are_found_too(tower, tolerance):
     weight = float(tower.scene.bodies[0].mass[0]) * 9.80665
     where = {tuple(pair): force for pair, force in zip(found.pair[:2].tolist(), found.force[:2], strict=True)}
     assert set(where) == {(0, -1), (1, 0)}
-    assert abs(where[0, -1][2] / weight - 2.0) < 0.1
-    assert abs(where[1, 0][2] / weight - 1.0) < 0.1
+    exact = tolerance(float64=5e-4, float32=1e-2)  # the tolerance of a crowd's solve, a few times
+    assert abs(where[0, -1][2] / weight - 2.0) < exact
+    assert abs(where[1, 0][2] / weight - 1.0) < exact
 
 
 def test_a_scene_without_contact_has_none():
