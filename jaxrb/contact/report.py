@@ -16,7 +16,7 @@ class ContactReport(eqx.Module):
 
     * `penetration` [m]: the deepest overlap met at the start of a step.
     * `normal_work`, `friction_work` [J]: what contact has done along its normals (impacts, resting) and across them;
-      both are losses, and negative.
+      both are losses, and negative, but for an error of first order in the step where a curved surface rolls.
     * `residual` [m/s]: the worst that a solve left of the law, as a velocity; `poor`: in how many steps that was above
       1 % of what the law takes away.
     * `newton_steps`, `products`: of all solves. `points`: most points pressed at a time.

@@ -34,6 +34,7 @@ class Flight:
     dt: float = 1e-3
     steps: int = 100
     friction: float = 0.5
+    damping: float = 0.0
 
     def plain(self) -> dict[str, Any]:
         """As JSON takes it: inertia of a full box, no turn and no speed where nothing is said."""
@@ -51,7 +52,8 @@ class Flight:
             "half": self.half,
         }
         plain = {name: np.asarray(part, float).tolist() for name, part in parts.items()}
-        return plain | {"kind": self.kind, "dt": self.dt, "steps": self.steps, "friction": self.friction}
+        numbers = {"dt": self.dt, "steps": self.steps, "friction": self.friction, "damping": self.damping}
+        return plain | {"kind": self.kind} | numbers
 
 
 def figure(flight: Flight, what: str, states: np.ndarray) -> float:
@@ -68,6 +70,10 @@ def figure(flight: Flight, what: str, states: np.ndarray) -> float:
         return float(np.maximum(-gaps, 0.0).max())
     with np.errstate(invalid="ignore", over="ignore"):  # of states that are no numbers
         energy = _energy(flight.plain(), states)
+        if what == "lies":  # on a face whose height is that of no turn
+            least = -np.sum(flight.masses) * peer_engines.GRAVITY * flight.half[2]
+            worst = np.maximum(np.abs(energy[-1] - least), (energy - energy[0]).max())
+            return float(worst / (energy[0] - least))
         return float((energy - energy[0]).max() / (np.abs(energy[0]) + 0.5 * speed.max() ** 2))
 
 

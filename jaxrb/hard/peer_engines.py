@@ -2,9 +2,9 @@
 
     python peer_engines.py mjx < flights.json > states.json
 
-A flight is an object of `kind` ("free", "boxes", "ellipsoid"), `masses` (n) [kg], `inertia` (n, 6) xx, yy, zz, xy, xz,
-yz [kg m²], `half` (3,) [m], `places` (n, 3), `turns` (n, 4) wxyz, `velocities`, `spins` (n, 3), `dt`, `steps`,
-`friction`.
+A flight is an object of `kind` ("free", "boxes", "ellipsoid", "cylinder"), `masses` (n) [kg], `inertia` (n, 6) xx, yy,
+zz, xy, xz, yz [kg m²], `half` (3,) [m] of a box around the shape, `places` (n, 3), `turns` (n, 4) wxyz, `velocities`,
+`spins` (n, 3), `dt`, `steps`, `friction`, `damping` [N s/m and N m s/rad] of the medium.
 The answer has for each flight `saves` + 1 rows of (n, 13): place, turn, velocity in the world, spin in the body.
 """
 
@@ -21,12 +21,15 @@ SAVES = 20
 def model_text(flight: dict, method: str | None = None) -> str:
     """The flight in MJCF; contact is MuJoCo's default, but for friction. `method`: else RK4 where nothing acts."""
     free = flight["kind"] == "free"
-    size = " ".join(repr(float(x)) for x in flight["half"])
+    half = flight["half"][1:] if flight["kind"] == "cylinder" else flight["half"]
+    size = " ".join(repr(float(x)) for x in half)
     shape = f'<geom type="{flight["kind"].removesuffix("es")}" size="{size}"/>'
     if free:  # Brax needs a shape, if only one that touches nothing
         shape = '<geom type="sphere" size="0.1" contype="0" conaffinity="0"/>'
+    damped = flight.get("damping", 0.0)
+    joint = f'<joint type="free" damping="{damped!r}"/>' if damped else "<freejoint/>"
     bodies = "".join(
-        f'<body><freejoint/><inertial pos="0 0 0" mass="{mass!r}" fullinertia="{" ".join(map(repr, six))}"/>'
+        f'<body>{joint}<inertial pos="0 0 0" mass="{mass!r}" fullinertia="{" ".join(map(repr, six))}"/>'
         f"{shape}</body>"
         for mass, six in zip(flight["masses"], flight["inertia"], strict=True)
     )
@@ -115,7 +118,7 @@ def in_brax(flights: list[dict]) -> list[np.ndarray | None]:
     from brax.positional import pipeline
 
     def worlds(group):
-        if group[0]["kind"] == "ellipsoid":
+        if group[0]["kind"] in ("ellipsoid", "cylinder"):
             return [None] * len(group)
         found = []
         system = mjcf.loads(model_text(group[0], "Euler"))  # the only one it has

@@ -3,11 +3,11 @@
 import difflib
 
 from jaxrb.errors import UnknownName
-from jaxrb.hard import derivatives, flight, scenes, shapes, stack, touching
+from jaxrb.hard import coin, derivatives, flight, scenes, shapes, stack, touching
 from jaxrb.hard.case import Case
 
 CASES: tuple[Case, ...] = tuple(
-    case for file in (flight, derivatives, scenes, shapes, touching, stack) for case in file.cases()
+    case for file in (flight, derivatives, scenes, shapes, touching, stack, coin) for case in file.cases()
 )
 
 
