@@ -116,7 +116,7 @@ BAD = {
     "header of a deep JSON": (lambda a, d: packed(a, header=np.asarray("[" * 100_000)), "header is no JSON"),
     "newer schema [89]": (
         lambda a, d: packed(a, header=header(a, schema=99)),
-        "schema is 99; this jaxrb reads 1 to 1: update jaxrb",
+        "schema is 99; this jaxrb reads 1 to 2: update jaxrb",
     ),
     "schema a word [89]": (lambda a, d: packed(a, header=header(a, schema="new")), "schema is 'new'"),
     "array missing": (

@@ -22,7 +22,7 @@ from jaxrb.compilation import compiler_options
 from jaxrb.integrators.method import Method
 from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.integrators.semi_implicit import SemiImplicitEuler
-from jaxrb.io import checkpoint
+from jaxrb.io import run_work
 from jaxrb.io.run import run
 from jaxrb.scene.contact_library import CONTACT_SCENES
 from jaxrb.scene.library import double_spring
@@ -125,7 +125,7 @@ def _of_files(scene: Scene, state: State, method: Method, steps: int, every: int
     """Share of CPU and of wall time spent in writing, and how many files there were."""
     spent = np.zeros(2)
     count = 0
-    real = checkpoint.write
+    real = run_work.Work._write
 
     def timed(*arguments: Any) -> None:
         nonlocal count
@@ -134,7 +134,7 @@ def _of_files(scene: Scene, state: State, method: Method, steps: int, every: int
         spent[:] += np.asarray([time.process_time(), time.perf_counter()]) - start
         count += 1
 
-    with tempfile.TemporaryDirectory() as folder, mock.patch.object(checkpoint, "write", timed):
+    with tempfile.TemporaryDirectory() as folder, mock.patch.object(run_work.Work, "_write", timed):
         start = np.asarray([time.process_time(), time.perf_counter()])
         run(
             scene, state, dt=1e-3, steps=steps, save_every=every, method=method,

@@ -4,9 +4,10 @@ header        text, JSON: schema, versions, settings, the scene's fingerprint, w
 origin_…      scene, method, initial state and torque, as far as they can be written
 progress_…    what the next step needs
 saved_…       the states saved so far
-checksum      SHA-256 of all of that
+checksum      SHA-256 of the names, types, shapes and SHA-256s of all of these (of schema 1: of all at once)
 """
 
+import hashlib
 import json
 import os
 from collections.abc import Iterator
@@ -19,18 +20,42 @@ import numpy as np
 
 from jaxrb.checks import warn
 from jaxrb.errors import InvalidInput, JaxrbError, WrongStructure
-from jaxrb.io.npz import check_target, read_arrays, scratch_prefix, write_whole
-from jaxrb.io.tree import decoded, digest, encoded
+from jaxrb.io.npz import check_target, raw_bytes, read_arrays, scratch_prefix, write_arrays, write_whole
+from jaxrb.io.tree import checksum, decoded, digest, encoded
 
-SCHEMA = 1
+SCHEMA = 2
 CHECKPOINT, FAILURE = "checkpoint", "failure"
 
 
-def write(path: Path, header: dict[str, Any], origin: dict[str, Any], progress: Any, saved: Any) -> None:
+class Sums:
+    """SHA-256 of arrays that grow by rows at their end: each byte is read once, in however many files it stands."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, tuple[Any, int]] = {}  # the sum of so many rows
+
+    def of(self, arrays: dict[str, np.ndarray]) -> dict[str, str]:
+        """The sums of arrays by name, of which only the rows that are new are read."""
+        found = {}
+        for name, array in arrays.items():
+            known, rows = self._seen.get(name, (hashlib.sha256(), 0))
+            grown = known.copy()
+            grown.update(raw_bytes(array[rows:]))
+            self._seen[name] = (
+                grown,
+                len(array),
+            )  # at once: Ctrl-C may come anywhere, and another file after it
+            found[name] = grown.hexdigest()
+        return found
+
+
+def write(
+    path: Path, header: dict[str, Any], origin: dict[str, Any], progress: Any, saved: Any, sums: Sums
+) -> None:
     """Write a run's file, whole or not at all.
 
     `origin`: trees of jaxrb's classes by name; of one that holds a function the file says that it is missing, and the
-    program that wrote it has to give it again. `progress`, `saved`: trees whose structure the reader knows.
+    program that wrote it has to give it again. `progress`, `saved`: trees whose structure the reader knows. `sums`: of
+    what was saved in the files before.
     """
     arrays: dict[str, np.ndarray] = {}
     host: list[np.ndarray] = []
@@ -47,8 +72,9 @@ def write(path: Path, header: dict[str, Any], origin: dict[str, Any], progress: 
         arrays |= {f"{name}_{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
     text = json.dumps(header | {"schema": SCHEMA, "jax": jax.__version__}, sort_keys=True)
     arrays["header"] = np.asarray(text)
-    arrays["checksum"] = np.asarray(digest(arrays))
-    write_whole(path, lambda stream: np.savez(stream, **arrays))  # pyright: ignore[reportArgumentType] - of savez
+    known = sums.of({name: array for name, array in arrays.items() if name.startswith("saved_")})
+    arrays["checksum"] = np.asarray(checksum(arrays, known))
+    write_whole(path, lambda stream: write_arrays(stream, arrays))
 
 
 class RunFile:
@@ -65,7 +91,7 @@ class RunFile:
         if not {"header", "checksum"} <= set(arrays):
             raise InvalidInput(f"{path}: no file of a run: it has no header and checksum")
         told = str(arrays.pop("checksum"))
-        if told != (found := digest(arrays)):
+        if told != (found := checksum(arrays)) and told != digest(arrays):
             raise InvalidInput(
                 f"{path}: the checksum is {found[:12]}…, but {told[:12]}… was written: the file has changed since; "
                 "take an earlier copy"

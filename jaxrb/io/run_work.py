@@ -13,6 +13,7 @@ from jaxrb.body.state import State
 from jaxrb.errors import InvalidInput, RunFailed, RunInterrupted
 from jaxrb.integrators.method import Method
 from jaxrb.io import checkpoint as files
+from jaxrb.io.rows import Rows
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene
 from jaxrb.scene.status import Status
@@ -46,17 +47,21 @@ class Work:
         self.every, self.header, self.origin = save_every, header, origin
         self.target, self.record, self.overhead = target, record, overhead
         self.dt = jnp.asarray(dt, origin["state"].dtype)
-        self.at: tuple[Progress, list[Any]]  # in one, so that Ctrl-C finds both from the same moment
+        self.saved: Rows  # states and reports of contact
+        self.at: tuple[
+            Progress, int
+        ]  # with the rows saved by then: in one, so that Ctrl-C finds both of one moment
         self.status: Status | None = None
         self.written = -1  # steps done in the newest file
         # What the newest file took to write [s], and when that was; the states saved in it.
-        self.cost, self.since, self.rows = 0.0, time.monotonic(), 0
+        self.cost, self.since, self.rows_written = 0.0, time.monotonic(), 0
+        self.sums = files.Sums()
 
     def begin(self, state: State, resume: bool) -> None:
         """At the first step, or where the file says."""
         start = begun(self.scene, state, self.method)
         first = jax.tree.map(np.asarray, (start.state, report_of(start)))
-        self.at = start, [jax.tree.map(lambda x: x[None], first)]
+        self.saved, self.at = Rows(jax.tree.map(lambda x: x[None], first)), (start, 1)
         if not (resume and self.target is not None and self.target.exists()):
             return
         file = files.RunFile(self.target, _MAX_FILE)
@@ -73,7 +78,8 @@ class Work:
             raise InvalidInput(
                 f"{self.target}: has done {done} steps, more than steps = {self.steps}; raise steps"
             )
-        self.at, self.written = (jax.tree.map(jnp.asarray, file.tree("progress", start)), [rows]), done
+        self.saved, self.written = Rows(rows), done
+        self.at = jax.tree.map(jnp.asarray, file.tree("progress", start)), count.pop()
 
     @property
     def progress(self) -> Progress:
@@ -81,8 +87,8 @@ class Work:
         return self.at[0]
 
     @property
-    def saved(self) -> list[Any]:
-        """Saved states and reports of contact, in pieces."""
+    def rows(self) -> int:
+        """States saved so far."""
         return self.at[1]
 
     @property
@@ -126,8 +132,7 @@ class Work:
 
     def _room(self) -> int:
         """Rows of the buffer of saved states: structure of the program, so nothing that changes from try to try."""
-        row = sum(leaf.nbytes for leaf in jax.tree.leaves(self.saved[0])) // len(self.saved[0][0].time)
-        return max(2, min(room_for(self.steps // self.every), 1024, _BUFFER // row))
+        return max(2, min(room_for(self.steps // self.every), 1024, _BUFFER // self.saved.row_bytes))
 
     def _advance(self, count: int, room: int, on_error: str) -> None:
         """Make `count` steps; of the first failure keep a record, and raise it if so wanted."""
@@ -141,14 +146,7 @@ class Work:
             kept = self._write_failure()
             if on_error == "raise":
                 self._raise(kept)
-        rows = int(found.saved)
-        self.at = (
-            now,
-            [
-                *self.saved,
-                jax.tree.map(lambda x: np.asarray(x)[:rows], (found.states, found.contact)),
-            ],
-        )
+        self.at = now, self.saved.put(self.rows, (found.states, found.contact), int(found.saved))
 
     def _raise(self, kept: File | None) -> None:
         assert self.status is not None
@@ -164,7 +162,7 @@ class Work:
 
     def path(self) -> Path:
         """What is done so far."""
-        states, contact = jax.tree.map(lambda *rows: np.concatenate(rows), *self.saved)
+        states, contact = self.saved.first(self.rows)
         status = self.status
         if status is None:  # no step was made here, and only good states are in files
             unsound = self.progress.unsound
@@ -172,14 +170,11 @@ class Work:
         return Path(states.time, states, self.progress.state, status, self.scene, None, contact)
 
     def _write_if_due(self) -> None:
-        # A file holds all that was saved so far, and costs the more the more that is.
-        grown = max(1.0, self._rows() / max(self.rows, 1))
-        if (time.monotonic() - self.since) * self.overhead >= self.cost * grown:
+        # A file holds all that was saved so far, and costs the more the more that is. Half of the share is left to the
+        # last file, which follows whatever was written when.
+        grown = max(1.0, self.rows / max(self.rows_written, 1))
+        if (time.monotonic() - self.since) * 0.5 * self.overhead >= self.cost * grown:
             self._write_checkpoint()
-
-    def _rows(self) -> int:
-        """States saved so far."""
-        return sum(len(states.time) for states, _ in self.saved)
 
     def _write_checkpoint(self) -> None:
         if self.target is None or self.failed or self.done == self.written:
@@ -188,7 +183,7 @@ class Work:
         self._write(self.target, self.header)
         self.written = self.done
         self.since = time.monotonic()
-        self.cost, self.rows = self.since - began, self._rows()
+        self.cost, self.rows_written = self.since - began, self.rows
 
     def _write_failure(self) -> File | None:
         """The states before the stretch that failed, and at which step it did."""
@@ -200,9 +195,8 @@ class Work:
         return self.record
 
     def _write(self, path: File, header: dict[str, Any]) -> None:
-        saved = jax.tree.map(lambda *rows: np.concatenate(rows), *self.saved)
-        files.write(path, header | {"done": self.done}, self.origin, self.progress, saved)
-        self.at = self.progress, [saved]
+        saved = self.saved.first(self.rows)
+        files.write(path, header | {"done": self.done}, self.origin, self.progress, saved, self.sums)
 
 
 class _Pace:

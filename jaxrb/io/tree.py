@@ -19,6 +19,7 @@ from jaxrb.geometry.connectivity import Connectivity
 from jaxrb.geometry.primitives import Pose
 from jaxrb.geometry.shape import Shape
 from jaxrb.integrators.method import Method
+from jaxrb.io.npz import raw_bytes
 from jaxrb.math.rotation import Rotation
 from jaxrb.scene.scene import Scene
 
@@ -83,8 +84,18 @@ def digest(arrays: dict[str, np.ndarray], text: str = "") -> str:
     for name in sorted(arrays):
         array = arrays[name]
         found.update(f"{name} {array.dtype.str} {array.shape}".encode())
-        found.update(np.ascontiguousarray(array).data if array.size else b"")
+        found.update(raw_bytes(array))
     return found.hexdigest()
+
+
+def checksum(arrays: dict[str, np.ndarray], known: dict[str, str] | None = None) -> str:
+    """SHA-256 of names, types and shapes of arrays and of the SHA-256 of each one's bytes, which `known` may hold."""
+    known = known or {}
+    lines = [
+        f"{name} {array.dtype.str} {array.shape} {known.get(name) or hashlib.sha256(raw_bytes(array)).hexdigest()}"
+        for name, array in sorted(arrays.items())
+    ]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 def _name(kind: type) -> str:

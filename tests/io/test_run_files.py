@@ -3,6 +3,7 @@
 Killed ones are in hard/test_safety.py.
 """
 
+import os
 import resource
 
 import jax
@@ -13,7 +14,11 @@ import pytest
 
 import jaxrb as rb
 from jaxrb.errors import InvalidInput, JaxrbError, RunFailed, RunInterrupted, WrongStructure
-from jaxrb.io.checkpoint import RunFile, only_writer
+from jaxrb.io import npz
+from jaxrb.io.checkpoint import RunFile, Sums, only_writer
+from jaxrb.io.npz import write_arrays
+from jaxrb.io.rows import Rows
+from jaxrb.io.tree import checksum, digest
 
 STEPS = 400
 SETTINGS = long_run_scene.SETTINGS
@@ -236,3 +241,90 @@ def test_bar_is_drawn_where_it_is_asked_for(flight, capsys):
     scene, state, _ = flight
     whole(scene, state, progress=True)
     assert f"{STEPS}/{STEPS}" in capsys.readouterr().err
+
+
+# --- what a file's checksum is of -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cuts", [(5,), (1, 2, 5), (0, 5, 5)])
+def test_sum_of_rows_that_grow_is_that_of_all_of_them(cuts):
+    rows = np.random.default_rng(0).normal(size=(5, 2, 3))
+    sums = Sums()
+    for cut in cuts:
+        known = sums.of({"saved_0": rows[:cut]})
+    whole_sum = checksum({"saved_0": rows})
+    assert checksum({"saved_0": rows}, known) == whole_sum
+    other = rows.copy()
+    other[4, 1, 2] = np.nextafter(other[4, 1, 2], 9)
+    assert checksum({"saved_0": other}) != whole_sum
+
+
+def test_a_sum_that_was_interrupted_is_taken_again():
+    """Ctrl-C while a file is summed is followed by another file."""
+
+    class Interrupting(np.ndarray):
+        def __len__(self):
+            raise KeyboardInterrupt
+
+    rows, sums = np.arange(6.0).reshape(3, 2), Sums()
+    sums.of({"saved_0": rows[:1]})
+    with pytest.raises(KeyboardInterrupt):
+        sums.of({"saved_0": rows.view(Interrupting)})
+    both = {"saved_0": rows, "saved_1": rows}
+    assert checksum(both, sums.of(both)) == checksum(both)
+
+
+def test_files_of_the_first_schema_are_read(begun):
+    """Their checksum was of all bytes at once."""
+    scene, state, file = begun
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    arrays.pop("checksum")
+    arrays["header"] = np.asarray(str(arrays["header"]).replace('"schema": 2', '"schema": 1'))
+    np.savez(file, **arrays, checksum=np.asarray(digest(arrays)))
+    assert RunFile(file, 2**30).header["schema"] == 1
+    assert bool(whole(scene, state, checkpoint=file, resume=True).status.ok)
+
+
+def test_a_file_is_what_numpy_would_have_written(tmp_path):
+    arrays = {
+        "a": np.asarray("text"), "b": np.arange(6.0).reshape(2, 3)[:, ::-1], "c": np.zeros((0, 3)), "d": np.int32(7),
+        "e": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+    }  # fmt: skip
+    with open(tmp_path / "own.npz", "wb") as stream:
+        write_arrays(stream, {name: np.asarray(array) for name, array in arrays.items()})
+    with np.load(tmp_path / "own.npz") as read:
+        assert set(read) == set(arrays)
+        for name, array in arrays.items():
+            assert read[name].dtype == np.asarray(array).dtype
+            np.testing.assert_array_equal(read[name], array)
+
+
+def test_long_arrays_are_written_in_parts(tmp_path, monkeypatch):
+    """With parts of a few bytes, which no array's length is a multiple of."""
+    monkeypatch.setattr(npz, "_PART", 48)
+    monkeypatch.setattr(os, "posix_fadvise", lambda *told: parts.append(told[1:3]), raising=False)
+    parts = []
+    arrays = {"a": np.arange(5.0), "b": np.arange(6.0), "c": np.arange(13.0)}
+    with open(tmp_path / "own.npz", "wb") as stream:
+        write_arrays(stream, arrays)
+    assert len(parts) == 2  # of the last one alone, of 104 bytes
+    with np.load(tmp_path / "own.npz") as read:
+        for name, array in arrays.items():
+            np.testing.assert_array_equal(read[name], array)
+
+
+def test_rows_grow_and_those_before_stay():
+    rows = Rows((np.zeros((1, 2)), np.zeros(1, np.int32)))
+    count, wanted = 1, [0]
+    for length in (0, 1, 3, 40, 2):
+        more = np.arange(length + 2.0)
+        before = rows.first(count)[1].copy()
+        count = rows.put(count, (np.stack([more, more], axis=-1), more.astype(np.int32)), length)
+        wanted += list(range(length))
+        assert np.array_equal(before, rows.first(count)[1][: len(before)])
+    assert count == len(wanted)
+    both, one = rows.first(count)
+    np.testing.assert_array_equal(both, np.stack([wanted, wanted], axis=-1))
+    np.testing.assert_array_equal(one, wanted)
+    assert rows.row_bytes == 20
