@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.body.state import State, finite_per_body
+from jaxrb.body.state import State
 from jaxrb.body.unturned import shown
 from jaxrb.compilation import jit
 from jaxrb.contact import SOLVED
@@ -15,6 +15,7 @@ from jaxrb.integrators.method import Method, contact_report
 from jaxrb.integrators.names import method_of
 from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.math.arrays import Array, Scalar, Vector
+from jaxrb.scene import watch
 from jaxrb.scene.certificate import certificate_of
 from jaxrb.scene.path import Path
 from jaxrb.scene.reversible import reversible_steps
@@ -124,7 +125,7 @@ def _run_steps(
         state, memory, finite_steps, done = carry
         given = given if varying else torque
         new, memory = method.carried_step(dynamics, timed(state, done), memory, dt, given)
-        return (at(start, new), memory, finite_steps + finite_per_body(new, state), done + 1), None
+        return (at(start, new), memory, watch.counted(finite_steps, state, new), done + 1), None
 
     one = jax.checkpoint(one, prevent_cse=False, policy=_KEPT)
 
@@ -152,7 +153,10 @@ def _run_steps(
     long = steps * len(state.position) > _IN_ONE
     bad = sound(state, method.renormalise)
     held = state if adjoint == "reversible" else method.held(dynamics, state)
-    carry = (held, method.first_carry(dynamics, state), jnp.zeros_like(bad), jnp.zeros((), jnp.int32))
+    finite_steps = jnp.zeros_like(bad)
+    if adjoint == "checkpoint":
+        finite_steps = watch.opened(finite_steps, held)
+    carry = (held, method.first_carry(dynamics, state), finite_steps, jnp.zeros((), jnp.int32))
     regular, rest = None, None
     if torque is not None and varying:
         regular = torque[: saves * save_every].reshape(saves, save_every, *torque.shape[1:])
@@ -166,7 +170,8 @@ def _run_steps(
     first = (state, contact_report(method.first_carry(dynamics, state)))
     states, contact = jax.tree.map(lambda one, later: jnp.concatenate([one[None], later]), first, saved)
     final = shown(timed(carry[0], carry[3]))
-    status = status_after(bad, carry[2], steps, final, method.renormalise)
+    finite_steps = watch.closed(carry[2], carry[0]) if adjoint == "checkpoint" else carry[2]
+    status = status_after(bad, finite_steps, steps, final, method.renormalise)
     status = with_contact(status, contact_report(carry[1]))
     return states.time, states, final, status, contact
 

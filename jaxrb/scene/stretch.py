@@ -4,6 +4,7 @@ How many steps a stretch has is a number of the program, not its structure, and 
 handed from stretch to stretch: contact's memory, compensated remainders, the count of steps that the time comes from.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -11,10 +12,11 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.body.state import State, finite_per_body
+from jaxrb.body.state import State
 from jaxrb.body.unturned import shown
 from jaxrb.integrators.method import Method, contact_report
 from jaxrb.math.arrays import Array, Scalar, Vector
+from jaxrb.scene import watch
 from jaxrb.scene.scene import Scene
 from jaxrb.scene.status import Status, sound, status_after, with_contact
 
@@ -95,9 +97,8 @@ def _stretched(
         done = now.done + 1
         # Counted as `rollout` counts it.
         new = eqx.tree_at(lambda s: s.time, new, now.start + done.astype(dt.dtype) * dt)
-        return Progress(
-            new, carry, now.start, done, now.finite_steps + finite_per_body(new, now.held), now.unsound
-        )
+        finite_steps = watch.counted(now.finite_steps, now.held, new)
+        return Progress(new, carry, now.start, done, finite_steps, now.unsound)
 
     def to_next_save(carried: tuple) -> tuple:
         now, kept, saved = carried
@@ -109,12 +110,18 @@ def _stretched(
         return now, kept, saved + (now.done % save_every == 0)
 
     rows = jax.tree.map(lambda x: jnp.zeros((room, *x.shape), x.dtype), (progress.state, report_of(progress)))
-    carried = (progress, rows, jnp.zeros((), jnp.int32))
+    carried = (_counting(watch.opened, progress), rows, jnp.zeros((), jnp.int32))
     progress, kept, saved = lax.while_loop(lambda c: c[0].done < end, to_next_save, carried)
+    progress = _counting(watch.closed, progress)
     status = status_after(
         progress.unsound, progress.finite_steps, progress.done, progress.state, method.renormalise
     )
     return progress, Stretch(kept[0], kept[1], saved, with_contact(status, report_of(progress)))
+
+
+def _counting(change: Callable[[Array, State], Array], progress: Progress) -> Progress:
+    """With `finite_steps` as between stretches, or as within one."""
+    return eqx.tree_at(lambda p: p.finite_steps, progress, change(progress.finite_steps, progress.held))
 
 
 stretched = jax.jit(_stretched, static_argnames=("room",))

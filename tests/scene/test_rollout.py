@@ -94,6 +94,23 @@ def test_status_names_the_first_bad_step_and_body():
     assert not bool(path.status.ok)
 
 
+def test_first_bad_step_of_a_single_body_is_the_first_the_last_or_any():
+    """Of one body a step's beginning is looked at, not its result: neither end may be lost."""
+
+    def scene(time):
+        return rb.Scene(BRICK, rb.CustomForce(blow_up, parameters=time))
+
+    def found(time):
+        path = rb.rollout(scene(time), scene(time).state(), dt=0.1, steps=10, on_error="flag")
+        return path.status.first_bad_step[0]
+
+    times, steps = (0.05, 0.55, 0.95, 9.0), (1, 6, 10, -1)
+    np.testing.assert_array_equal(jax.vmap(found)(jnp.asarray(times)), steps)
+    for time, step in zip(times, steps, strict=True):
+        path = rb.run(scene(np.asarray(time)), scene(9.0).state(), dt=0.1, steps=10, chunk=4, on_error="flag")
+        assert int(path.status.first_bad_step[0]) == step
+
+
 def test_bad_body_changes_no_bit_of_its_neighbours():
     good = rb.rollout(failing_scene(99.0), failing_scene(99.0).state(velocity=(1, 2, 3)), dt=0.1, steps=10)
     bad = rb.rollout(
