@@ -49,8 +49,8 @@ def run(
             whole: at any moment, killed or not, the last one that was finished is there.
         resume: go on from `checkpoint` if it exists; else its existence is an error. `steps` may have grown since.
         overhead: the share of the time that writing files may take. A stretch is not followed by a file while that
-            would cost more than half of it, so what a killed run loses is at most a stretch, or `2 / overhead` times what
-            a file takes; the other half is the last file's.
+            would cost more than half of it, so what a killed run loses is at most a stretch, or `2 / overhead` times
+            what a file takes; the other half is the last file's.
         failure: where the states before a failure go, with the scene, for `replay`; by default beside `checkpoint`.
         progress: True draws a bar; a function is called with the steps done and the steps wanted.
 
