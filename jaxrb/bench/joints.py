@@ -19,7 +19,7 @@ from jaxrb.effects.gravity import UniformGravity
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.joints import Hinge
 from jaxrb.scene.example import Example
-from jaxrb.scene.joint_library import bricard, cart, chain, doll_on_floor, double_pendulum, rod
+from jaxrb.scene.joint_library import CART_INCLINE, bricard, cart, chain, doll_on_floor, double_pendulum, rod
 from jaxrb.scene.joints import joint_error
 from jaxrb.scene.path import Path
 from jaxrb.scene.rollout import rollout
@@ -102,6 +102,16 @@ def _tip_error(example: Example, path: Path) -> float:
     tip = np.array([math.sin(a) + math.sin(b), 0.0, -math.cos(a) - math.cos(b)])
     found = path.final.point_position(jnp.asarray([0.0, 0.0, 0.5], path.final.dtype))[1]
     return float(np.linalg.norm(np.asarray(found) - tip))
+
+
+def _cart_error(example: Example, path: Path) -> float:
+    """Error [m/s] of the speed g t sin α m/(m + 4 I/r²) of a cart that rolls from rest."""
+    chassis, wheels = example.scene.bodies
+    about_axle = float(np.asarray(wheels.inertia.as_matrix())[0, 2, 2])
+    total = float(chassis.mass) + float(np.sum(wheels.mass))
+    rolling = total + 4.0 * about_axle / float(wheels.shape.radius[0]) ** 2
+    exact = GRAVITY * math.sin(math.radians(CART_INCLINE)) * total / rolling * float(path.final.time)
+    return abs(float(np.linalg.norm(path.final.velocity[0])) - exact)
 
 
 def _row(

@@ -20,6 +20,7 @@ from jaxrb.scene.rods import rod as rod
 from jaxrb.scene.scene import Scene
 
 GRAVITY = UniformGravity((0.0, 0.0, -9.81))
+CART_INCLINE = 10.0  # [degrees]
 
 
 def double_pendulum(angles: Sequence[float] = (math.pi / 2, math.pi / 2)) -> Example:
@@ -126,7 +127,7 @@ def doll_on_floor() -> Example:
     )
 
 
-def cart(degrees: float = 10.0) -> Example:
+def cart(degrees: float = CART_INCLINE) -> Example:
     """A cart on four wheels rolls down an incline, with g sin α m/(m + 4 I/r²), I about the axles, m of all."""
     angle = math.radians(degrees)
     radius, half = 0.1, (0.3, 0.15, 0.05)
