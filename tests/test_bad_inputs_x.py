@@ -72,6 +72,14 @@ def test_a_pose_may_be_given_as_a_tuple():
     assert np.allclose(center, [0.0, 1.0, 2.0])
 
 
+def test_centres_of_mass_of_another_number_of_bodies_are_refused():
+    moments = rb.PrincipalInertia(np.tile([1.0, 2.0, 2.5], (4, 1)))
+    with pytest.raises(
+        WrongStructure, match=r"bodies axes differ: mass \(4,\).*center_of_mass \(3,\).*replicate"
+    ):
+        rb.Body([1.0, 2.0, 3.0, 4.0], moments, center_of_mass=np.zeros((3, 3)))
+
+
 def test_one_centre_of_mass_and_one_shape_serve_all_bodies_of_an_axis():
     """They failed inside `vmap`, with its own words."""
     moments = rb.PrincipalInertia(np.tile([1.0, 2.0, 2.5], (4, 1)))

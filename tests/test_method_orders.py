@@ -10,7 +10,6 @@ import pytest
 from rotation_samples import QUICK
 
 import jaxrb as rb
-from jaxrb.integrators.adams_weights import SCHEMES, starter
 from jaxrb.scene.stretch import begun, stretched
 
 MATRIX = np.asarray([[1.0, 0.1, 0.05], [0.1, 2.0, 0.1], [0.05, 0.1, 2.5]])
@@ -83,14 +82,15 @@ def test_order_of_a_place_on_a_spring(name, order, dtype):
     assert abs(np.log2(coarse / fine) - order) < 0.25
 
 
-@pytest.mark.parametrize("name", SCHEMES)
-def test_starters_of_the_adams_methods_meet_the_conditions_of_their_order(name):
-    """Of quadrature, Σ bᵢ cᵢᵏ⁻¹ = 1/k to the order; and the first that joins two stages (Butcher 2016, section 31)."""
-    stages, weights = starter(SCHEMES[name])
-    nodes = stages.sum(axis=1)
-    order = {6: 5, 12: 8}[len(weights)]
-    for k in range(1, order + 1):
-        assert weights @ nodes ** (k - 1) == pytest.approx(1 / k, abs=1e-13)
-    assert weights @ stages @ nodes == pytest.approx(1 / 6, abs=1e-13)
-    assert weights @ stages @ nodes**2 == pytest.approx(1 / 12, abs=1e-13)
-    assert np.array_equal(stages, np.tril(stages, -1))
+@pytest.mark.parametrize("kind", [rb.ExplicitEuler, rb.SemiImplicitEuler])
+def test_a_finite_rotation_is_exact_at_a_constant_rate_and_a_tangent_is_not(kind, tolerance):
+    scene = rb.Scene(rb.Body(1.0, 1.0))
+    spin = (0.4, -0.8, 0.2)
+    state = scene.state(angular_velocity=spin, rotation=rb.Quaternion)
+
+    def off(method):
+        end = rb.rollout(scene, state, dt=0.5, steps=4, save_every=4, method=method).final
+        return float(jnp.abs(end.orientation.log()[0] - 2.0 * jnp.asarray(spin)).max())
+
+    assert off(kind(finite_rotation=True)) < tolerance(float64=1e-15, float32=1e-6)
+    assert 5e-3 < off(kind()) < 0.1

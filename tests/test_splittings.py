@@ -62,3 +62,13 @@ def test_drag_is_met_at_the_order_of_the_method(name, dtype):
 
     # 3.6 here, 3.9 at finer steps: what the rounds of the last kick leave is of the order of the method itself.
     assert np.log2(error(20) / error(40)) > method.order - 0.5
+
+
+def test_a_torque_alone_turns_a_body_at_rest(dtype, tolerance):
+    """Without a force, and about a principal axis: ω = τt/I and the angle τt²/2I, whatever the splitting."""
+    scene = rb.Scene(rb.Body(1.0, (1.0, 2.0, 2.5)), rb.PrescribedTorque((0.0, 0.6, 0.0)))
+    state = scene.state(rotation=rb.Quaternion)
+    end = rb.rollout(scene, state, dt=0.1, steps=10, save_every=10, method="ThreeAxisSplitting").final
+    small = tolerance(float64=1e-14, float32=1e-6)
+    np.testing.assert_allclose(end.angular_velocity[0], [0.0, 0.3, 0.0], atol=small)
+    np.testing.assert_allclose(end.orientation.log()[0], [0.0, 0.15, 0.0], atol=small)

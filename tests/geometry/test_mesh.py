@@ -61,6 +61,20 @@ def test_tetrahedron_has_the_closed_form():
     assert max(relative_errors(found, RHO / 6, 0.25, inertia)) < 1e-12
 
 
+def test_pyramid_whose_corners_are_not_about_its_centre_has_the_closed_form():
+    """Edge a, height h: V = a²h/3, centre h/4 above the base, I_zz = m a²/10, I_xx = m (a²/20 + 3h²/80)."""
+    half, height, place = 0.4, 1.5, np.array([0.3, -0.2, 2.0])
+    corners = np.array(
+        [(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0), (0, 0, height)]
+    )
+    triangles = [(0, 2, 1), (0, 3, 2), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)]
+    found = TriangleMesh(corners + place, triangles).mass_properties(RHO)
+    mass = RHO * (2 * half) ** 2 * height / 3
+    across = (2 * half) ** 2 / 20 + 3 * height**2 / 80
+    inertia = mass * np.diag([across, across, (2 * half) ** 2 / 10])
+    assert max(relative_errors(found, mass, place + np.array([0, 0, height / 4]), inertia)) < 1e-12
+
+
 def test_box_a_million_metres_away_keeps_nine_digits():
     half, offset = (0.5, 0.3, 0.2), np.array([1e6, -1e6, 1e6])
     found = TriangleMesh(samples.box(half)[0] + offset, samples.BOX_TRIANGLES).mass_properties(RHO)

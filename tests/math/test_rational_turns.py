@@ -19,6 +19,13 @@ def test_rational_turn_is_the_exponential(tolerance):
     )
 
 
+def test_turn_of_a_tangent_is_the_exponential_of_twice_its_arctangent(tolerance):
+    lengths = np.tan(np.array([0.0, 1e-9, 1e-3, 0.1, 0.5, 1.0, 1.5]))
+    found = rb.Quaternion.of_tangent(jnp.asarray((lengths[:, None] * AXIS).tolist())).wxyz
+    wanted = rb.Quaternion.exp(jnp.asarray((2 * np.arctan(lengths)[:, None] * AXIS).tolist())).wxyz
+    np.testing.assert_allclose(found, wanted, atol=tolerance(float64=1e-15, float32=5e-7))
+
+
 def test_rational_turn_has_length_one_at_any_angle(tolerance):
     vectors = jnp.asarray((np.array([0.0, 1.0, 10.0, 1e3])[:, None] * AXIS).tolist())
     np.testing.assert_allclose(

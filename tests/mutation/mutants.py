@@ -30,26 +30,39 @@ FOLDERS = ("math", "body", "integrators")
 TIMEOUT = 240.0  # [s] of the clock
 
 ORDERS = "tests/test_method_orders.py"
+COEFFICIENTS = "tests/test_coefficients.py"
 ROLLOUT = ("tests/scene/test_rollout.py", ORDERS, "tests/test_compensated_sums.py")
+KINDS = (
+    "tests/joints/test_joint_structure.py",
+    "tests/scene/test_reversible.py",
+)  # which methods may do what
 FREE_FLIGHT = ("tests/test_free_flight.py",)
 ADAMS = ("tests/test_adams.py",)
+SPLITTINGS = ("tests/test_splittings.py", ORDERS, "tests/test_long_runs.py")
 # The tests of each module, quickest first; a folder's own where nothing else is said.
 TESTS = {
-    "math/elliptic.py": FREE_FLIGHT,
-    "math/settled.py": (*FREE_FLIGHT, *ADAMS),
+    "math/arrays.py": ("tests/math", "tests/scene/test_rollout.py"),
+    "math/elliptic.py": ("tests/math/test_elliptic.py", *FREE_FLIGHT),
+    "math/settled.py": ("tests/math/test_settled.py", *FREE_FLIGHT, *ADAMS),
     "math/compaction.py": ("tests/contact/test_contact_structure.py", "tests/collision/test_broadphase.py"),
     "math/safe.py": ("tests/math/test_safe_derivatives.py", "tests/math"),
+    "body/body.py": ("tests/body", "tests/test_bad_inputs_x.py", "tests/test_bad_inputs_b.py"),
     "body/freedom.py": ("tests/effects/test_freedom.py",),
     "body/mass_properties.py": ("tests/body/test_mass_properties.py", "tests/geometry/test_mesh.py"),
     "body/unturned.py": ("tests/effects/test_freedom.py",),
-    "body/euler_equation.py": ("tests/scene/test_rollout.py", "tests/effects/test_freedom.py"),
-    "integrators/adams_weights.py": (ORDERS, *ADAMS),
-    "integrators/splitting.py": ("tests/test_splittings.py", ORDERS),
-    "integrators/three_axis_splitting.py": ("tests/test_splittings.py", ORDERS, "tests/test_long_runs.py"),
-    "integrators/moser_veselov.py": ("tests/test_splittings.py", ORDERS, "tests/test_long_runs.py"),
-    "integrators/principal_frame.py": ("tests/test_splittings.py", ORDERS, "tests/test_long_runs.py"),
+    "body/euler_equation.py": (
+        "tests/body/test_euler_equation.py",
+        "tests/body/test_inertia.py",
+        "tests/scene/test_rollout.py",
+        "tests/effects/test_freedom.py",
+    ),
+    "integrators/adams_weights.py": (COEFFICIENTS, ORDERS, *ADAMS),
+    "integrators/splitting.py": (COEFFICIENTS, *SPLITTINGS),
+    "integrators/three_axis_splitting.py": SPLITTINGS,
+    "integrators/moser_veselov.py": SPLITTINGS,
+    "integrators/principal_frame.py": SPLITTINGS,
 }
-OWN = {"math": ("tests/math",), "body": ("tests/body",), "integrators": ROLLOUT}
+OWN = {"math": ("tests/math",), "body": ("tests/body",), "integrators": (*ROLLOUT, *KINDS)}
 OPERATORS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult,
     ast.Mod: ast.Mult, ast.Pow: ast.Mult, ast.MatMult: ast.Add, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
