@@ -111,6 +111,7 @@ def test_page_is_small(page):
 
 
 def test_vendored_files_are_what_their_authors_published(monkeypatch, tmp_path):
+    assert {file.name for file in viewer_page.VENDOR.iterdir()} == set(viewer_page.VENDORED)
     for name, digest in viewer_page.VENDORED.items():
         data = (viewer_page.VENDOR / name).read_bytes()
         assert hashlib.sha256(data).hexdigest() == digest
