@@ -11,9 +11,12 @@ special = pytest.importorskip("scipy.special")
 
 
 def test_carlson_s_integrals_are_scipy_s_however_unequal_the_arguments(dtype, tolerance):
-    """Close to the separatrix an argument is nearly 0, and the series after the duplications has something to add."""
+    """Close to the separatrix two are nearly 0, and the series after the duplications has something to add.
+
+    Not beyond 1e-200: SciPy's own R_J errs by a thousandth there, ours by 7e-16 (30 digits of mpmath).
+    """
     random = np.random.default_rng(0)
-    decades = tolerance(float64=14.0, float32=10.0)
+    decades = tolerance(float64=150.0, float32=30.0)
     x, y = 10 ** random.uniform(-decades, 0.0, (2, 400))
     x[:20] = 0.0
     z = random.uniform(0.6, 1.0, 400)
