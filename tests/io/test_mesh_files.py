@@ -220,10 +220,58 @@ def damaged_glb(change):
         (lambda d: d["scenes"][0].update(nodes=[]), "places no triangles"),
         (lambda d: d.update(extensionsRequired=["KHR_draco_mesh_compression"]), "KHR_draco_mesh_compression"),
         (lambda d: d.update(scene=5), "names scene 5"),
+        (lambda d: d["meshes"][0].update(primitives=[7]), "it has no attributes"),
+        (lambda d: d["accessors"][1].update(count=10), "10 corners are no whole number of triangles"),
+        (
+            lambda d: (d["meshes"][0]["primitives"][0].update(mode=6), d["accessors"][1].update(count=2)),
+            "a strip or fan of 2 corners; three are needed",
+        ),
+        (lambda d: d["bufferViews"][0].update(buffer=1), "buffer 1 is not in the file itself"),
+        (lambda d: d["bufferViews"][0].update(byteStride=4), "stride 4; it is damaged"),
+        (lambda d: d.update(accessors=[3, 4]), r"accessors\[0\] is no object"),
+        (lambda d: d.update(nodes=[4]), "'nodes' is no list of objects"),
+        (lambda d: d["nodes"][0].update(mesh="first"), "names mesh first"),
+        (lambda d: d["nodes"][0].update(children=0), "'children' of a node is no list"),
+        (lambda d: d["nodes"][0].update(translation=[10**999, 0, 0]), "give 3 finite numbers"),
     ],
 )
 def test_glb_that_is_damaged_is_refused(change, message, written):
     refused(written("a.glb", damaged_glb(change)), message)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (
+            lambda d: d[:12] + (10**6).to_bytes(4, "little") + d[16:],
+            "a chunk of 1000000 bytes ends after the file",
+        ),
+        (lambda d: d[:16] + b"BIN\0" + d[20:], "the first chunk is not JSON"),
+        (lambda d: d[:20] + b"[" + d[21:], "its JSON cannot be read"),
+        (lambda d: d[:20] + b"[]" + b" " * (int.from_bytes(d[12:16], "little") - 2), "its JSON is no object"),
+    ],
+)
+def test_glb_whose_chunks_are_damaged_is_refused(data, message, written):
+    bad = data(damaged_glb(lambda d: None))
+    refused(written("a.glb", bad[:8] + len(bad).to_bytes(4, "little") + bad[12:]), message)
+
+
+def test_glb_without_scenes_shows_the_nodes_that_are_no_children_and_names_what_it_leaves_out(written):
+    def changed(document):
+        del document["scenes"], document["scene"]
+        document["nodes"] = [{"children": [1], "translation": [1, 0, 0]}, {"mesh": 0, "skin": 0}]
+        document["meshes"][0]["primitives"].append({"attributes": {"POSITION": 0}, "mode": 1})
+
+    path = written("a.glb", damaged_glb(changed))
+    with pytest.warns(JaxrbWarning) as told:
+        mesh = read_mesh(path)
+    said = " ".join(str(warning.message) for warning in told)
+    assert "its skin (bones) is not applied" in said
+    assert "1 primitives of points or lines are left out" in said
+    where = np.asarray(mesh.vertices)
+    assert where.mean(axis=0) == pytest.approx(
+        [1 + TORUS[0][:, 0].mean(), *TORUS[0][:, 1:].mean(axis=0)], abs=1e-6
+    )
 
 
 def test_nodes_of_a_cycle_are_refused(written):

@@ -220,6 +220,59 @@ def test_everything_unsupported_is_listed_with_its_line(tmp_path):
     assert model.bodies == ("a", "b")
 
 
+# A hand excluded without its arm, geoms of one body that differ, two joints between the same bodies, a ball joint with
+# a spring and stops, an angle beyond a turn, contact with friction beside contact without.
+SIMPLIFIED = """<mujoco><default><geom size="0.1"/></default><worldbody><geom type="plane" size="1 1 1" condim="1"/>
+<body name="a" pos="0 0 1"><freejoint/><geom friction="0.5"/><geom pos="0.3 0 0" friction="0.9"/>
+<body name="hand" pos="0 0 0.3"><geom/></body></body>
+<body name="b" pos="0 0 3"><joint name="ball" type="ball" stiffness="2" range="0 30"/><geom/></body>
+<body name="c" pos="2 0 3"><joint name="wound" range="-400 10"/><joint name="more" type="slide"/><geom/></body>
+</worldbody><contact><exclude body1="hand" body2="b"/></contact></mujoco>"""
+
+
+def test_what_is_simplified_is_told(tmp_path):
+    file = tmp_path / "simple.xml"
+    file.write_text(SIMPLIFIED)
+    model = rb.load_mjcf(file, unsupported="report", limit_stiffness=10.0)
+    told = {finding.path: [] for finding in model.unsupported}
+    for finding in model.unsupported:
+        told[finding.path].append(finding.why)
+    assert "all parts are excluded, since they are one body" in told["exclude[hand]"][0]
+    assert "differ in contype, conaffinity, condim or friction" in told["body[a]"][0]
+    assert "friction for all geoms or for none; 3 was taken" in told["geom@condim"][0]
+    assert "rb.AngularSpring" in told["joint[ball]"][0]
+    assert "stops of a ball joint" in told["joint[ball]"][1]
+    assert "jaxrb counts no turns" in told["joint[wound]"][0]
+    assert "a second joint between the same two bodies" in told["joint[more]"][0]
+
+
+def test_a_model_whose_contact_is_off_or_without_friction(tmp_path):
+    smooth = (
+        '<geom type="plane" size="1 1 1" condim="1"/><body><freejoint/><geom size="0.1" condim="1"/></body>'
+    )
+    file = tmp_path / "smooth.xml"
+    file.write_text(f"<mujoco><worldbody>{smooth}</worldbody></mujoco>")
+    (touch,) = rb.load_mjcf(file).scene.effects[1:]
+    assert touch.friction is None or float(np.max(touch.friction)) == 0.0
+    off = '<option><flag contact="disable"/></option>'
+    file.write_text(f"<mujoco>{off}<worldbody>{smooth}</worldbody></mujoco>")
+    assert not any(
+        isinstance(e, rb.RigidContact) for e in rb.load_mjcf(file, unsupported="report").scene.effects
+    )
+
+
+def test_a_model_read_wrongly_says_how_to_read_it(tmp_path):
+    file = tmp_path / "one.xml"
+    with pytest.raises(InvalidInput, match=r"one\.xml: there is no such file"):
+        rb.load_mjcf(file)
+    file.write_text('<mujoco><include file="two.xml"/><include file="two.xml"/></mujoco>')
+    (tmp_path / "two.xml").write_text("<mujocoinclude/>")
+    with pytest.raises(InvalidInput, match=r"'two\.xml' is included a second time"):
+        rb.load_mjcf(file)
+    with pytest.raises(rb.WrongStructure, match="choose 'refuse' or 'report'"):
+        rb.load_mjcf(file, unsupported="ignore")
+
+
 def test_stops_want_a_stiffness(tmp_path):
     file = tmp_path / "stop.xml"
     file.write_text(model_files.PENDULUM.replace('damping="0.1"', 'range="-10 40" ref="10"'))
