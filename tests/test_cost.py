@@ -36,6 +36,7 @@ def test_every_effect_is_priced(report):
     total = report.share_of_motion + sum(effect.share for effect in report.effects)
     assert report.shares_add_up_to == pytest.approx(total)
     assert "the motion itself" in report.summary()
+    assert report.as_dict()["shares_add_up_to"] == report.shares_add_up_to
 
 
 def test_dropping_gravity_changes_the_fall_by_what_galileo_says(report, tolerance):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 
 import jax
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 import jaxrb as rb
 from jaxrb.accuracy import plan_cache
-from jaxrb.accuracy.pilot import Trial, fewest_steps, predicted
+from jaxrb.accuracy.pilot import COARSEST_TURN, Trial, fewest_steps, first_steps, observed_order, predicted
 from jaxrb.accuracy.planner import plan
 from jaxrb.accuracy.reference import Errors, errors, reference
 from jaxrb.bench.planner import rows, share_within
@@ -87,14 +88,14 @@ def test_plan_does_not_run_while_traced(top):
 
 
 class Law:
-    """A pilot whose error is known: C stepsᵖ over the tolerance, and nothing below a floor."""
+    """A pilot of known error: C stepsᵖ over the tolerance, nothing below a floor, no number below `stable` steps."""
 
-    def __init__(self, top, constant, order, floor=0.0):
+    def __init__(self, top, constant, order, floor=0.0, stable=0):
         self.scene, self.state, self.duration = top.scene, top.state(), top.duration
-        self.constant, self.order, self.floor = constant, order, floor
+        self.constant, self.order, self.floor, self.stable = constant, order, floor, stable
 
     def trial(self, method, steps):
-        excess = self.constant / steps**self.order + self.floor
+        excess = self.constant / steps**self.order + self.floor if steps >= self.stable else math.inf
         return Trial(steps, Errors(1e-3 * excess, 0.0, 0.0), excess)
 
 
@@ -111,6 +112,39 @@ def test_search_gives_up_at_a_floor(top):
     trials, good = fewest_steps(Law(top, 1e6, 2, floor=3.0), rb.VelocityVerlet(), 1e9)
     assert good is None
     assert max(t.steps for t in trials) < 1e7
+
+
+def test_search_of_a_method_that_overflows_below_some_steps_ends_near_them(top):
+    trials, good = fewest_steps(Law(top, 10.0, 2, stable=5000), rb.VelocityVerlet(), 1e9)
+    assert 5000 <= good.steps <= 1.3 * 5000
+    assert any(math.isinf(t.excess) for t in trials)
+
+
+def test_search_of_a_method_without_error_takes_steps_of_a_quarter_turn_at_most(top):
+    _, good = fewest_steps(Law(top, 0.0, 2), rb.VelocityVerlet(), 1e9)
+    assert good.steps == first_steps(top.scene, top.state(), rb.VelocityVerlet(), top.duration, COARSEST_TURN)
+
+
+def test_one_trial_shows_no_order():
+    trial = Trial(100, Errors(0, 0, 0), 2.0)
+    assert observed_order([trial]) is None
+    assert observed_order([trial, trial]) is None
+    assert observed_order([trial, Trial(200, Errors(0, 0, 0), math.inf)]) is None
+
+
+def test_what_no_method_reaches_or_works_on_is_refused(top, monkeypatch):
+    monkeypatch.setattr("jaxrb.accuracy.planner.MOST_STEPS", 8)
+    with pytest.raises(InvalidInput, match=r"no method meets the tolerance 0\.0001 in float"):
+        plan(top.scene, top.state(), top.duration, 1e-4, methods="VelocityVerlet")
+    angles = top.state(rotation=rb.EulerAngles)
+    with pytest.raises(WrongStructure, match=r"none of \('ImplicitMidpoint',\) works on Euler angles"):
+        plan(top.scene, angles, top.duration, 1e-2, methods=("ImplicitMidpoint",))
+
+
+def test_a_folder_for_plans_that_cannot_be_written_is_told(top, tmp_path):
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(InvalidInput, match=r"cache folder .*taken: .*name one that you can write"):
+        plan(top.scene, top.state(), top.duration, 3.1e-3, methods=("RungeKutta4",), cache=tmp_path / "taken")
 
 
 def test_prediction_follows_the_order():

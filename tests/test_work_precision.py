@@ -1,13 +1,14 @@
 """Work and precision: references that check themselves, points that show each method's order, scenes by name."""
 
 import dataclasses
+import json
 
 import jax
 import numpy as np
 import pytest
 
 import jaxrb as rb
-from jaxrb.accuracy.reference import errors, extrapolated, reference
+from jaxrb.accuracy.reference import closed_form, errors, extrapolated, reference
 from jaxrb.accuracy.work_precision import (
     Point,
     measure,
@@ -116,6 +117,22 @@ def test_work_precision_marks_what_it_cannot_know(top, monkeypatch):
     assert any(p.on_front for p in found.points)
     known = found.reference.uncertainty.attitude
     assert all(p.beyond_reference == (p.attitude_error_rad < known) for p in found.points)
+    plain = json.loads(json.dumps(found.as_dict()))
+    assert plain["points"][0]["seconds_per_step"] * plain["points"][0]["steps"] == pytest.approx(
+        plain["points"][0]["run_seconds"]
+    )
+
+
+def test_closed_form_of_bodies_that_fall_and_of_no_others(tolerance):
+    scene = rb.Scene(rb.Body(2.0, (1.0, 2.0, 2.5)), rb.UniformGravity((0.0, 3.0, -10.0)))
+    state = scene.state(position=(1.0, 0.0, 5.0), velocity=(4.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.5))
+    end = closed_form(scene, state, 2.0)
+    near = {"atol": tolerance(float64=1e-14, float32=1e-5)}
+    np.testing.assert_allclose(end.position[0], [9.0, 6.0, -15.0], **near)
+    np.testing.assert_allclose(end.velocity[0], [4.0, 6.0, -20.0], **near)
+    np.testing.assert_allclose(end.orientation.log()[0], [0.0, 0.0, 1.0], **near)
+    dragged = rb.Scene(scene.bodies, (*scene.effects, rb.LinearDrag(0.1)))
+    assert closed_form(dragged, state, 2.0) is None
 
 
 @IN_FLOAT64
