@@ -11,6 +11,8 @@ from jaxrb.fit.command import fit as fit
 from jaxrb.fit.free_fall import FreeFall as FreeFall
 from jaxrb.fit.free_fall import fit_free_fall as fit_free_fall
 from jaxrb.fit.inertia import fit_inertia as fit_inertia
+from jaxrb.fit.inertial import Inertial as Inertial
+from jaxrb.fit.inertial import entropic_divergence as entropic_divergence
 from jaxrb.fit.refusal import ParametersNotIdentifiable as ParametersNotIdentifiable
 from jaxrb.fit.refusal import RatiosNotIdentifiable as RatiosNotIdentifiable
 from jaxrb.fit.report import InertiaFit as InertiaFit

@@ -128,6 +128,7 @@ def levenberg_marquardt(
     prior: Prior | None = None,
     max_iterations: int | Array = 100,
     tolerance: float | Array = 1e-9,
+    damping: float | Array = 1e-3,
 ) -> Solution:
     """Minimise ½ Σ_s weight_s (Σ_w |residual|² + continuity Σ_w |gap|²), the sums over segments and their windows.
 
@@ -142,6 +143,7 @@ def levenberg_marquardt(
         prior: on the shared parameters.
         max_iterations: trial steps, also those refused.
         tolerance: relative drop of the cost, made or foretold, below which it has converged.
+        damping: to begin with, of the diagonal; less near a solution, or what only a prior knows would hardly move.
 
     Nothing is raised here: `status` says how it ended (`MEANING` puts it in words).
     """
@@ -190,7 +192,7 @@ def levenberg_marquardt(
     blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
     infinity = jnp.asarray(jnp.inf, dtype)
     start = _Carry(
-        shared, local, infinity, blank, jnp.asarray(1e-3, dtype), shared, local, infinity,
+        shared, local, infinity, blank, jnp.asarray(damping, dtype), shared, local, infinity,
         jnp.asarray(0), jnp.asarray(-1),
     )  # fmt: skip
     end = jax.lax.while_loop(

@@ -92,9 +92,15 @@ def moved_ratios(coordinates: Array, step: Array) -> Array:
 def moments_from_coordinates(coordinates: Array) -> MassMoments:
     """Mass, first moment and inertia from ten coordinates α, d₁ d₂ d₃, s₁₂ s₂₃ s₁₃, t₁ t₂ t₃.
 
-    The pseudo-inertia [[Σ, h], [hᵀ, m]] is U Uᵀ with U = e^α [[e^d₁, s₁₂, s₁₃, t₁], [0, e^d₂, s₂₃, t₂],
-    [0, 0, e^d₃, t₃], [0, 0, 0, 1]].
+    The pseudo-inertia [[Σ, h], [hᵀ, m]] is U Uᵀ with the U of `factor_from_coordinates`.
     """
+    upper = factor_from_coordinates(coordinates)
+    pseudo = upper @ upper.T
+    return MassMoments(pseudo[3, 3], pseudo[:3, 3], inertia_of_second_moments(pseudo[:3, :3]))
+
+
+def factor_from_coordinates(coordinates: Array) -> Matrix:
+    """U (4, 4) = e^α [[e^d₁, s₁₂, s₁₃, t₁], [0, e^d₂, s₂₃, t₂], [0, 0, e^d₃, t₃], [0, 0, 0, 1]]."""
     alpha, d, (s12, s23, s13), t = (
         coordinates[0],
         jnp.exp(coordinates[1:4]),
@@ -108,24 +114,27 @@ def moments_from_coordinates(coordinates: Array) -> MassMoments:
         (zero, zero, d[2], t[2]),
         (zero, zero, zero, one),
     ]
-    upper = jnp.exp(alpha) * jnp.stack([jnp.stack(row) for row in rows])
-    pseudo = upper @ upper.T
-    return MassMoments(pseudo[3, 3], pseudo[:3, 3], inertia_of_second_moments(pseudo[:3, :3]))
+    return jnp.exp(alpha) * jnp.stack([jnp.stack(row) for row in rows])
 
 
 def coordinates_from_moments(moments: MassMoments) -> Array:
     """The ten coordinates (10,) of a body's moments. Raises as `coordinates_from_inertia`."""
+    upper = factor_from_moments(moments)
+    alpha = jnp.log(upper[3, 3])
+    unit = upper / upper[3, 3]
+    d = jnp.log(jnp.diagonal(unit)[:3])
+    return jnp.concatenate([alpha[None], d, jnp.stack([unit[0, 1], unit[1, 2], unit[0, 2]]), unit[:3, 3]])
+
+
+def factor_from_moments(moments: MassMoments) -> Matrix:
+    """The upper triangular U (4, 4) with a positive diagonal. Raises as `coordinates_from_inertia`."""
     first = jnp.asarray(moments.first_moment)
     mass = jnp.asarray(moments.mass, first.dtype)
     pseudo = jnp.block(
         [[second_moments(moments.inertia), first[:, None]], [first[None, :], mass[None, None]]]
     )
     # The lower factor of the matrix read backwards is the upper one, read backwards.
-    upper = _cholesky(pseudo[::-1, ::-1], "mass, first moment and inertia", pseudo)[::-1, ::-1]
-    alpha = jnp.log(upper[3, 3])
-    unit = upper / upper[3, 3]
-    d = jnp.log(jnp.diagonal(unit)[:3])
-    return jnp.concatenate([alpha[None], d, jnp.stack([unit[0, 1], unit[1, 2], unit[0, 2]]), unit[:3, 3]])
+    return _cholesky(pseudo[::-1, ::-1], "mass, first moment and inertia", pseudo)[::-1, ::-1]
 
 
 def _gram(log_diagonal: Array, below: Array) -> Matrix:

@@ -11,17 +11,21 @@ import numpy as np
 
 from jaxrb.accuracy.rollout import rollout
 from jaxrb.body.state import State
-from jaxrb.errors import InvalidInput, NotIdentifiable
+from jaxrb.errors import InvalidInput
 from jaxrb.fit.first_order import by_optimiser
 from jaxrb.fit.least_squares import MEANING, levenberg_marquardt
 from jaxrb.fit.problem import Alone
+from jaxrb.fit.unknowns import Unknowns, names_of, unknowns_of, unraveled
 from jaxrb.integrators.method import Method
 from jaxrb.io.recording import Recording
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.scene.scene import Scene
 
 CHANNELS = {"position": "m", "velocity": "m/s", "orientation": "rad", "angular_velocity": "rad/s"}
-_ROUND_OFF = 1e-12  # of the information, relative to its largest direction, once each number has its own unit
+# Strengths of the logarithmic barrier of a bounding shape, in squares of a standard deviation, one stage after the
+# other (Nocedal and Wright 2006, section 19.6): the last moves an estimate that is not held back by a millionth.
+_BARRIERS = (1.0, 1e-2, 1e-4, 1e-6)
+_FINE = 1e-14  # of the cost: a prior is a small part of it, and decides alone where the data are blind
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,7 @@ class SceneFit:
 
     `unknowns` has the tree that was given, `standard_errors` the same; `covariance` (P, P) is that of `names` in order,
     model-based, with the noise that the residuals show. `noise` has the root mean square residual of each channel in
-    its own unit.
+    its own unit. `held` names the bodies that a bounding shape holds back: their error bars take the bound as known.
     """
 
     unknowns: Any
@@ -41,6 +45,7 @@ class SceneFit:
     noise: dict[str, float]
     iterations: int
     ended: str
+    held: tuple[str, ...] = ()
 
 
 def fit_scene(
@@ -49,6 +54,7 @@ def fit_scene(
     unknowns: Any,
     *,
     state: State | Callable[[Any], State],
+    observe: Callable[[Any, State], Mapping[str, Any]] | None = None,
     scales: Mapping[str, float] | None = None,
     steps_per_sample: int = 1,
     method: Method | str | None = None,
@@ -65,9 +71,11 @@ def fit_scene(
             floor: the derivative then goes through shape, mass properties, dynamics and contact at once.
         recording: one toss at an even rate, with any of position, velocity, orientation and angular velocity.
         unknowns: for a scene, a function that picks leaves of it, such as `lambda scene: scene.effects[1].coefficient`;
-            for a function, the tree of numbers to start from. Numbers that start positive stay so: they are fitted by
-            their logarithm.
+            for a function, the tree of numbers to start from, in which `jaxrb.fit.Inertial` stands for all ten inertial
+            parameters of a body. Numbers that start positive stay so: they are fitted by their logarithm.
         state: at the first sample; or a function from the unknowns to it, so that they may hold its numbers too.
+        observe: what is recorded of the unknowns and the states (K samples, 1 body), by channel, where it is not the
+            motion of the body itself: a tracked point beside the centre of mass, another metre, a biased gyroscope.
         scales: standard deviations by channel ("position" [m], "velocity" [m/s], "orientation" [rad],
             "angular_velocity" [rad/s]); only these are compared. By default all that were recorded, equally trusted
             relative to their root mean square.
@@ -101,90 +109,104 @@ def fit_scene(
         def build(values: Any) -> Scene:
             return made(values)
 
-    flat, unit, values = _coordinates(start)
+    wanted = unknowns_of(start)
+    if wanted.penalised and huber is not None:
+        raise InvalidInput(
+            "fit: huber would bend a prior or bounding shape too; give optimiser=… and a robust loss instead."
+        )
 
     def residual(step, _, data):
-        found = values(step)
+        found = wanted.values(step)
         first = state(found) if callable(state) else state
         path = rollout(
             build(found), first, dt=dt / steps_per_sample, steps=(len(recording.time) - 1) * steps_per_sample,
             save_every=steps_per_sample, method=method, on_error="flag",
         )  # fmt: skip
+        shown = {} if observe is None else observe(found, path.states)
         return jnp.concatenate(
-            [_off(name, path.states, data[name]).ravel() / compared[name] for name in compared]
+            [_off(name, path.states, shown, data[name]).ravel() / compared[name] for name in compared]
+            + [wanted.penalty(step, data["barrier"])]
         )
 
-    data = {name: jnp.asarray(getattr(recording, name), flat.dtype)[None, None] for name in compared}
+    data: dict[str, Any] = {
+        name: jnp.asarray(getattr(recording, name), wanted.dtype)[None, None] for name in compared
+    }
+    data["barrier"] = jnp.full((1, 1), _BARRIERS[-1], wanted.dtype)
+    bound, count = np.inf if huber is None else huber, _count(recording, compared)
     if optimiser is None:
-        bound = np.inf if huber is None else huber
-        moved, information, iterations, ended = _by_squares(residual, flat, data, bound, max_iterations)
+        moved, information, iterations, ended = _by_squares(residual, wanted, data, bound, max_iterations)
     else:
         moved, information, iterations, ended = by_optimiser(
-            residual, flat, data, optimiser, loss, max_iterations, progress or (lambda line: None)
-        )
-    left = residual(moved, None, {name: measured[0, 0] for name, measured in data.items()})
-    found = values(moved)
-    numbers = jnp.concatenate([jnp.ravel(value) for value in jax.tree.leaves(found)])
-    rates = np.asarray(jnp.where(flat > 0, numbers, unit))
-    rest = np.asarray(left)
-    covariance = _covariance(information, rest, rates, _names(found), recording.source)
+            residual, jnp.zeros(wanted.size, wanted.dtype), data, optimiser, _whole(loss, count), max_iterations,
+            progress or (lambda line: None),
+        )  # fmt: skip
+    alone = jax.tree.map(lambda measured: measured[0, 0], data)
+    left = np.asarray(residual(moved, None, alone))[:count]
+    # A bound makes nothing known: what data and priors leave open is looked for without it.
+    without = {**data, "barrier": 0.0 * data["barrier"]}
+    seen = _solve(residual, moved, without, bound, 0)[1] if wanted.bounded else information
+    wanted.check_seen(seen, moved, recording.source)
+    rates = wanted.rates(moved)
+    variance = float(left @ left) / max(left.size - wanted.size, 1)
+    covariance = variance * rates @ np.linalg.inv(information) @ rates.T
     covariance = covariance if loss is None else np.full_like(covariance, np.nan)
-    return _result(found, build(found), covariance, _noise(rest, compared), iterations, ended)
+    return _result(wanted, moved, build, covariance, _noise(left, compared), iterations, ended)
 
 
-def _coordinates(start: Any) -> tuple[Any, Any, Callable[[Any], Any]]:
-    """The numbers of a tree (P,), the unit of each one's step, and the tree a step (P,) away."""
-    leaves, tree = jax.tree.flatten(start)
-    shapes = [np.shape(leaf) for leaf in leaves]
-    flat = jnp.concatenate([jnp.ravel(jnp.asarray(leaf, float)) for leaf in leaves])
-    if not bool(jnp.all(jnp.isfinite(flat))):
-        raise InvalidInput(f"fit: an unknown starts at {np.asarray(flat).tolist()}; give finite numbers.")
-    positive, unit = flat > 0, jnp.where(flat == 0, 1.0, jnp.abs(flat))
-
-    def values(step):
-        moved = jnp.where(positive, flat * jnp.exp(jnp.where(positive, step, 0.0)), flat + unit * step)
-        cuts = np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1]
-        parts = [part.reshape(shape) for part, shape in zip(jnp.split(moved, cuts), shapes)]
-        return jax.tree.unflatten(tree, parts)
-
-    return flat, unit, values
-
-
-def _by_squares(residual: Any, flat: Any, data: Any, huber: float, max_iterations: int):
+def _by_squares(residual: Any, wanted: Unknowns, data: dict[str, Any], huber: float, max_iterations: int):
     """The step (P,) from the start by Levenberg–Marquardt, the information there, iterations, and how it ended."""
+    step, total = jnp.zeros(wanted.size, wanted.dtype), 0
+    information, ended = np.zeros((wanted.size, wanted.size)), ""
+    tolerance, damping = _FINE if wanted.penalised else 1e-9, 1e-3
+    for barrier in _BARRIERS if wanted.bounded else _BARRIERS[-1:]:
+        stage = {**data, "barrier": jnp.full((1, 1), barrier, wanted.dtype)}
+        step, information, iterations, ended = _solve(
+            residual, step, stage, huber, max_iterations, tolerance, damping
+        )
+        total, damping = total + iterations, 1e-12
+    return step, information, total, ended
+
+
+def _solve(
+    residual: Any,
+    step: Any,
+    data: dict[str, Any],
+    huber: float,
+    max_iterations: int,
+    tolerance: float = 1e-9,
+    damping: float = 1e-3,
+):
     solution = levenberg_marquardt(
-        Alone(residual), jnp.zeros_like(flat), jnp.zeros((1, 1, 0), flat.dtype), data, weight=jnp.ones(1, flat.dtype),
-        free=jnp.ones_like(flat), huber=huber, max_iterations=max_iterations,
+        Alone(residual), step, jnp.zeros((1, 1, 0), step.dtype), data, weight=jnp.ones(1, step.dtype),
+        free=jnp.ones_like(step), huber=huber, max_iterations=max_iterations, tolerance=tolerance,
+        damping=damping,
     )  # fmt: skip
     information = np.asarray(solution.normal.shared[0], float)
     return solution.shared, information, int(solution.iterations), MEANING[int(solution.status)]
 
 
+def _whole(loss: Callable[[Any], Any] | None, count: int) -> Callable[[Any], Any] | None:
+    """A loss of the data's residuals, the first `count`, with half the squares of the others added."""
+    if loss is None:
+        return None
+    return lambda r: loss(r[:count]) + 0.5 * jnp.sum(r[count:] ** 2)
+
+
 def _result(
-    found: Any, scene: Scene, covariance: np.ndarray, noise: dict, iterations: int, ended: str
+    wanted: Unknowns, step: Any, build: Any, covariance: np.ndarray, noise: dict, iterations: int, ended: str
 ) -> SceneFit:
-    leaves, tree = jax.tree.flatten(found)
-    shapes = [np.shape(leaf) for leaf in leaves]
-    errors = np.split(np.sqrt(np.diag(covariance)), np.cumsum([int(np.prod(s)) for s in shapes])[:-1])
+    found = wanted.values(step)
     return SceneFit(
         unknowns=found,
-        standard_errors=jax.tree.unflatten(tree, [e.reshape(s) for e, s in zip(errors, shapes)]),
+        standard_errors=unraveled(np.sqrt(np.diag(covariance)), found),
         covariance=covariance,
-        names=_names(found),
-        scene=scene,
+        names=names_of(found),
+        scene=build(found),
         noise=noise,
         iterations=iterations,
         ended=ended,
+        held=wanted.reached(step),
     )
-
-
-def _covariance(
-    information: np.ndarray, left: np.ndarray, rates: np.ndarray, names: tuple[str, ...], source: str
-) -> np.ndarray:
-    """By the residuals `left`; `rates` (P,) turn steps of the fit into the unknowns' own units."""
-    _refuse_open(information, names, source)
-    variance = float(left @ left) / max(left.size - len(rates), 1)
-    return variance * np.linalg.inv(information) * rates[:, None] * rates
 
 
 def _checked(recording: Recording, scales: Mapping[str, float] | None) -> tuple[float, dict[str, float]]:
@@ -209,38 +231,16 @@ def _checked(recording: Recording, scales: Mapping[str, float] | None) -> tuple[
     return float(spans.mean()), {name: max(size, 1e-9) for name, size in sizes.items()}
 
 
-def _off(name: str, states: State, measured: Any) -> Any:
-    """Difference (K, 3) of the one body's motion from what was measured."""
+def _off(name: str, states: State, shown: Mapping[str, Any], measured: Any) -> Any:
+    """Difference (K, 3) of the one body's motion, or what is observed of it, from what was measured."""
     if name == "orientation":
-        there = Quaternion(states.orientation.as_quaternion_array()[:, 0])
-        return (Quaternion(measured).inverse() @ there).log()
-    return getattr(states, name)[:, 0] - measured
+        wxyz = shown.get(name, states.orientation.as_quaternion_array()[:, 0])
+        return (Quaternion(measured).inverse() @ Quaternion(wxyz)).log()
+    return shown.get(name, getattr(states, name)[:, 0]) - measured
 
 
-def _names(start: Any) -> tuple[str, ...]:
-    names = []
-    for path, leaf in jax.tree_util.tree_flatten_with_path(start)[0]:
-        name = jax.tree_util.keystr(path).strip(".[]'") or "unknown"
-        shape = np.shape(leaf)
-        names += [name if not shape else f"{name}{list(index)}" for index in np.ndindex(*shape)]
-    return tuple(names)
-
-
-def _refuse_open(information: np.ndarray, names: tuple[str, ...], source: str) -> None:
-    if not np.all(np.isfinite(information)):
-        raise NotIdentifiable(f"{source}: the motion has no finite derivative by {', '.join(names)}.")
-    values, vectors = np.linalg.eigh(information)
-    null = vectors.T[values <= _ROUND_OFF * max(values[-1], 1e-300)]
-    if len(null):
-        words = [
-            " ".join(f"{value:+.2g} {name}" for value, name in zip(row, names) if abs(value) > 0.05)
-            for row in null
-        ]
-        error = NotIdentifiable(
-            f"{source}: nothing that was recorded changes along {'; '.join(words)} (relative). Hold one of them."
-        )
-        error.null_vectors = null  # pyright: ignore[reportAttributeAccessIssue]
-        raise error
+def _count(recording: Recording, compared: Mapping[str, float]) -> int:
+    return 3 * len(recording.time) * len(compared)
 
 
 def _noise(left: np.ndarray, compared: Mapping[str, float]) -> dict[str, float]:
