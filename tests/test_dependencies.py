@@ -7,9 +7,14 @@ import re
 import sys
 import tomllib
 
+import jax
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+pytestmark = pytest.mark.skipif(
+    not jax.config.read("jax_enable_x64"), reason="no number of jaxrb's: once is enough"
+)
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

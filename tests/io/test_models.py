@@ -18,6 +18,7 @@ from jaxrb.joints.kinds import BallJoint, Hinge, Slider
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra [mjcf])")
 pytest.importorskip("scipy", reason="hulls of meshes need scipy (extra [mesh])")
 
+ONCE = pytest.mark.skipif(not jax.config.read("jax_enable_x64"), reason="words, not numbers: once is enough")
 NAMES = [*model_files.MJCF, *model_files.URDF]
 
 
@@ -230,6 +231,7 @@ SIMPLIFIED = """<mujoco><default><geom size="0.1"/></default><worldbody><geom ty
 </worldbody><contact><exclude body1="hand" body2="b"/></contact></mujoco>"""
 
 
+@ONCE
 def test_what_is_simplified_is_told(tmp_path):
     file = tmp_path / "simple.xml"
     file.write_text(SIMPLIFIED)
@@ -246,6 +248,7 @@ def test_what_is_simplified_is_told(tmp_path):
     assert "a second joint between the same two bodies" in told["joint[more]"][0]
 
 
+@ONCE
 def test_a_model_whose_contact_is_off_or_without_friction(tmp_path):
     smooth = (
         '<geom type="plane" size="1 1 1" condim="1"/><body><freejoint/><geom size="0.1" condim="1"/></body>'
@@ -261,6 +264,7 @@ def test_a_model_whose_contact_is_off_or_without_friction(tmp_path):
     )
 
 
+@ONCE
 def test_a_model_read_wrongly_says_how_to_read_it(tmp_path):
     file = tmp_path / "one.xml"
     with pytest.raises(InvalidInput, match=r"one\.xml: there is no such file"):
