@@ -94,3 +94,17 @@ def test_a_finite_rotation_is_exact_at_a_constant_rate_and_a_tangent_is_not(kind
 
     assert off(kind(finite_rotation=True)) < tolerance(float64=1e-15, float32=1e-6)
     assert 5e-3 < off(kind()) < 0.1
+
+
+def test_euler_angles_serve_the_methods_that_only_add(tolerance):
+    scene = rb.Scene(rb.Body(1.0, MATRIX))
+    state = scene.state(angular_velocity=SPIN, rotation=rb.EulerAngles)
+    path = rb.rollout(scene, state, dt=0.01, steps=50, save_every=50)
+    exact = rb.free_flight(scene, scene.state(angular_velocity=SPIN), t=0.5)
+    turned = rb.Quaternion.from_rotation(path.final.orientation)
+    assert float(turned.angle_to(exact.orientation)[0]) < tolerance(float64=1e-9, float32=2e-6)
+    products = {name for name, method in rb.METHODS.items() if method.needs_group}
+    assert products == set(ORDERS) - {"ExplicitEuler", "SemiImplicitEuler", "VelocityVerlet", "RungeKutta4"}
+    for name in products:
+        with pytest.raises(rb.WrongStructure, match="not on Euler angles"):
+            rb.rollout(scene, state, dt=0.01, steps=1, method=name)
