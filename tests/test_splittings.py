@@ -8,6 +8,7 @@ import pytest
 import jaxrb as rb
 from jaxrb.body.euler_equation import solver
 from jaxrb.integrators import METHODS
+from jaxrb.integrators.principal_frame import principal_frame
 
 NAMES = ["ThreeAxisSplitting", "ThreeAxisSplitting4", "MoserVeselov4"]
 FULL = np.array([[1.0, 0.1, 0.05], [0.1, 2.0, 0.1], [0.05, 0.1, 2.5]])
@@ -90,3 +91,22 @@ def test_rounds_of_moser_and_veselov_reach_round_off_for_half_a_radian_a_step(ki
     later = jax.jit(rb.MoserVeselov().turn_freely)(solver(inertia), omega, 1.0)[1]
     before, after = (jnp.sum(w * inertia.apply(w), axis=-1) for w in (omega, later))
     assert float(jnp.abs(after / before - 1.0).max()) < tolerance(float64=1e-15, float32=6e-7)
+
+
+def test_principal_axes_are_those_of_the_tensor_and_of_a_diagonal_one_the_identity(dtype, tolerance):
+    """Also at two and three equal moments, where any axes in their plane would do."""
+    random = np.random.default_rng(4)
+    moments = np.array(
+        [[1.0, 1.5, 2.0], [1.0, 1.0, 1.7], [1.3, 1.0, 1.0], [2.0, 2.0, 2.0], [1.0, 1.000001, 1.5]]
+    )
+    turns = np.concatenate([np.linalg.qr(random.normal(size=(5, 3, 3)))[0], np.tile(np.eye(3), (5, 1, 1))])
+    tensors = np.einsum("nik,nk,njk->nij", turns, np.tile(moments, (2, 1)), turns)
+    six = jnp.asarray(tensors[:, (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)], dtype)
+    axes = np.asarray(jax.jit(jax.vmap(principal_frame))(six), np.float64)
+    small = tolerance(float64=4e-15, float32=2e-6)
+    np.testing.assert_allclose(
+        np.einsum("nji,njk->nik", axes, axes), np.tile(np.eye(3), (10, 1, 1)), atol=small
+    )
+    seen = np.einsum("nji,njk,nkl->nil", axes, tensors, axes)
+    np.testing.assert_allclose(seen * (1 - np.eye(3)), 0.0, atol=small)
+    np.testing.assert_array_equal(axes[5:], np.tile(np.eye(3), (5, 1, 1)))
