@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxrb as rb
+from jaxrb.accuracy import contact_tosses
 from jaxrb.accuracy.contact_report import summary
 from jaxrb.accuracy.contact_scenes import bouncing_ball, cases_of, sliding_block
 from jaxrb.accuracy.contact_work_precision import ContactPoint, ContactWorkPrecision, contact_work_precision
@@ -52,3 +53,32 @@ def test_times_at_equal_error_compare_like_with_like():
 def test_unknown_scenes_are_refused_with_the_nearest():
     with pytest.raises(rb.UnknownName, match="cube_toss"):
         cases_of(["cube_tos"])
+
+
+def test_shares_of_certificates_within_a_factor_of_ten(monkeypatch, capsys):
+    """Where the truth is known to less than a fifth of the error, and of all tosses."""
+    numbers = [  # error, estimate, sum of steps, how well the truth is known, and of fixed steps: error, estimate
+        (1e-5, 2e-5, 1e-3, 1e-7, 1e-2, 2e-2),
+        (1e-5, 2e-7, 3e-5, 1e-7, 1e-2, 5e-4),
+        (1e-6, 1e-3, 1e-6, 5e-7, 3e-2, 1.0),
+        (1e-4, 9e-4, 2e-4, 1e-7, 1e-2, 1e-2),
+    ]
+    found = [contact_tosses.Toss(0.5, 0.2, *row) for row in numbers]
+    wanted = {
+        "tosses": 4,
+        "truth known": 3,
+        "second run": pytest.approx(2 / 3),
+        "second run, all": 0.5,
+        "sum of steps": pytest.approx(2 / 3),
+        "fixed steps, all": 0.5,
+        "median error": pytest.approx(1e-5),
+        "median error of fixed steps": pytest.approx(1e-2),
+    }
+    assert contact_tosses.shares(found) == wanted
+    monkeypatch.setattr(contact_tosses, "tosses", lambda count: iter(found[:count]))
+    contact_tosses.main(count=4, json=True)
+    told = json.loads(capsys.readouterr().out)
+    assert {name: told[name] for name in wanted} == wanted
+    assert told["each"][2]["fixed_estimate"] == 1.0
+    contact_tosses.main(count=4)
+    assert "truth known                  3\n" in capsys.readouterr().out
