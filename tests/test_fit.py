@@ -249,11 +249,16 @@ def test_a_real_cube_has_equal_moments():
     """150 robot tosses of an acrylic cube (DAIRLab, ContactNets): each ratio 1/3, free fall 2 % short."""
     if not CUBES.is_file():
         pytest.skip("the cube recording (DAIRLab, ContactNets) is not in ../shared/data")
-    found = fit_inertia(read_recording(CUBES), nuisances=())
+    found = fit_inertia(read_recording(CUBES), nuisances=("metric_scale",))
     np.testing.assert_allclose(found.ratios, 1 / 3, rtol=0.04)
     assert np.all(found.standard_errors.ratios < 0.004)
     # Model-based bars are too small on real tosses; the quoted ones must not be.
     assert np.all(found.standard_errors.ratios > found.model_standard_errors.ratios)
     assert found.nuisance.free_fall.magnitude == pytest.approx(9.61, abs=0.02)
     assert found.nuisance.free_fall.magnitude_error < 0.02
+    # Resting cubes sit at 51.23 mm where half their side is 52.4: the same 2 % by another way.
+    metre, error, _ = found.nuisance.values["metric_scale"]
+    assert abs(metre[0] - (51.23 / 52.4 - 1.0)) < 2 * np.hypot(error[0], 0.31 / 52.4)
+    assert metre[0] < -5 * error[0] < 0.0
+    assert "Metric scale: -0.02" in found.summary()
     assert found.nuisance.flights_used > 150

@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 from reference_flights import TENSOR
 
-from jaxrb.errors import InvalidInput
+from jaxrb.errors import InvalidInput, NotIdentifiable
 from jaxrb.fit import find_flights, fit_free_fall
 from jaxrb.fit.chain import solve_chain
+from jaxrb.fit.flights import STANDARD_GRAVITY
 from jaxrb.fit.least_squares import (
     CONVERGED,
     NOT_FINITE,
     OUT_OF_ITERATIONS,
     levenberg_marquardt,
 )
+from jaxrb.fit.metre import metric_scale
 from jaxrb.fit.parametrise import (
     MassMoments,
     coordinates_from_inertia,
@@ -26,6 +28,7 @@ from jaxrb.fit.parametrise import (
     ratios_from_coordinates,
 )
 from jaxrb.fit.problem import Alone, Prior
+from jaxrb.fit.wishes import wishes_of
 from jaxrb.io import Recording
 
 
@@ -246,3 +249,45 @@ def test_free_fall_needs_two_tosses():
     recording = falling(0, tosses=1)
     with pytest.raises(InvalidInput, match="at least two"):
         fit_free_fall(recording, find_flights(recording))
+
+
+def test_a_wrong_metre_is_found_with_a_right_error_bar():
+    """Lengths 3 % too long, 30 tosses; whatever is believed of gravity is in the error bar."""
+    found, fall = [], None
+    for seed in range(30):
+        recording = falling(seed, gravity=1.03 * 9.8)
+        fall = fit_free_fall(recording, find_flights(recording))
+        found.append(metric_scale(fall, 9.8, None, "falling"))
+    off = np.array([(metre.value - 0.03) / metre.error for metre in found])
+    assert abs(off.mean()) < 1.0
+    assert 0.6 < off.std() < 1.5
+    assert all(metre.tried.needed for metre in found)
+    rough = metric_scale(fall, STANDARD_GRAVITY, None, "falling")
+    assert rough.error == pytest.approx(np.hypot(found[-1].error, 0.015 / 9.81), rel=0.01)
+    # Two beliefs of equal weight meet half way.
+    seen = found[-1]
+    half = metric_scale(fall, 9.8, (0.0, seen.error), "falling")
+    assert half.value == pytest.approx(0.5 * seen.value)
+    assert half.error == pytest.approx(seen.error / np.sqrt(2.0))
+    right = falling(0, gravity=9.8)
+    assert not metric_scale(fit_free_fall(right, find_flights(right)), 9.8, None, "falling").tried.needed
+    with pytest.raises(NotIdentifiable, match="two tosses"):
+        metric_scale(None, 9.8, None, "one toss")
+
+
+def test_the_metre_is_among_the_nuisances_of_recordings_that_show_it():
+    recording, nothing = falling(0, tosses=2), (None, None, 100)
+    for nuisances, wanted in (
+        ("auto", True),
+        (("metric_scale",), True),
+        ((), False),
+        (("linear_drag",), False),
+    ):
+        found = wishes_of(recording, None, False, nuisances, False, *nothing)
+        assert found.metre is wanted
+        assert "metric_scale" not in (*found.always, *found.among)
+    assert not wishes_of(falling(0, tosses=1), None, False, "auto", False, *nothing).metre
+    without = Recording(recording.time, np.ones((len(recording.time), 3)), length=recording.length)
+    assert not wishes_of(without, None, False, "auto", False, *nothing).metre
+    with pytest.raises(InvalidInput, match="leaves no trace"):
+        wishes_of(without, None, False, ("metric_scale",), False, *nothing)

@@ -41,7 +41,7 @@ def fit(
         json: print one JSON object instead of a table.
         drag: also fit a torque that slows the spin.
         nuisances: "auto" for all, each with a belief about its size, or names: linear_drag, quadratic_drag, gyro_bias,
-            gyro_scale, tilt, delay; "none" for none.
+            gyro_scale, tilt, delay, metric_scale; "none" for none.
         centre_of_mass: also find the centre of mass from the accelerometer.
         required: any of scale, mass, "centre of mass"; an error where the recording cannot give it.
         html: write a page with residuals, bounds and advice into this file.

@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxrb.errors import InvalidInput, JaxrbWarning, NotIdentifiable, RunFailed
 from jaxrb.fit.free_fall import FreeFall, fit_free_fall
+from jaxrb.fit.metre import METRIC_SCALE, Metre, metric_scale
 from jaxrb.fit.parametrise import ratios_from_coordinates
 from jaxrb.fit.passes import DOUBTFUL, MISFIT, free_flights_fitted, misfit_of
 from jaxrb.fit.refusal import RatiosNotIdentifiable, check_names, check_required, open_directions, refusal
@@ -60,7 +61,8 @@ def fit_inertia(
         required: any of "scale", "mass", "centre of mass"; what the recording cannot give raises.
         huber: standard deviations beyond which a sample's pull stops growing, such as 2.5; None is least squares.
         prior: mean and standard deviation of nuisances by name, in their units; of "scale", tr(I) [kg m²].
-        gravity: expected free-fall acceleration [m/s²], to find flights by.
+        gravity: expected free-fall acceleration [m/s²], to find flights and the metric scale by; the default is known
+            to what it differs by on Earth, any other is taken as exact.
         minimum_samples: shorter flights are left out.
         start: (3, 3) inertia of any scale to start from; by default a sphere.
         max_iterations: of each least-squares problem.
@@ -97,14 +99,19 @@ def fit_inertia(
         scale_seen = trace is not None or "scale" in wishes.always
         check_required(required, ratios, scale_seen, centre_of_mass, recording.source)
         info = fitted_information(problem, fitted.solution, fitted.weight)
+        fall = _free_fall(recording, flights)
+        wanted = wishes.metre and (fall is not None or nuisances != "auto")
+        belief = wishes.prior.get(METRIC_SCALE)
+        metre = metric_scale(fall, gravity, belief, recording.source) if wanted else None
         nuisance = _nuisance(
             problem,
             fitted,
-            _free_fall(recording, flights),
+            fall,
             misfit,
-            tried,
+            [*tried, *([metre.tried] if metre is not None and nuisances == "auto" else [])],
             model_covariance(info),
             wishes.prior,
+            metre,
         )
         toss = np.array([flight.toss for flight in flights.flights])
         return inertia_fit(problem, fitted, ratios, info, toss, nuisance, trace, correlation)
@@ -152,6 +159,7 @@ def _nuisance(
     tried: list[Tried],
     covariance: np.ndarray,
     believed: Mapping[str, tuple[float, float]],
+    metre: Metre | None,
 ) -> Nuisance:
     flights = problem.flights.flights
     rejected = {**problem.recording.left_out, **problem.flights.rejected}
@@ -160,6 +168,8 @@ def _nuisance(
         rejected["residuals 4 times the usual"] = misfits
     used = fitted.weight > 0
     found = {name: pair for name, pair in values(problem, fitted, covariance).items() if name != "scale"}
+    if metre is not None:
+        found[METRIC_SCALE] = (np.array([metre.value]), np.array([metre.error]))
     drag, scales = found.get("linear_drag"), fitted.scales
     return Nuisance(
         source=problem.recording.source,

@@ -26,6 +26,7 @@ UNKNOWNS = {
     "gyro_scale": (1, "1", "relative error of the angular velocity's size"),
     "tilt": (3, "rad", "rotation from the gyroscope's axes to those of the attitude"),
     "delay": (1, "s", "how much later than the attitude the angular velocity is"),
+    "metric_scale": (1, "1", "relative error of the recorded lengths; from free fall (jaxrb.fit.metre)"),
     "lever_arm": (3, "m", "from the centre of mass to the accelerometer"),
     "accelerometer_bias": (3, "m/s²", "constant error of the specific force"),
 }

@@ -20,11 +20,12 @@ class Tried(NamedTuple):
     needed: bool
 
 
-def candidates(spin: bool, attitude: bool) -> tuple[str, ...]:
+def candidates(spin: bool, attitude: bool, position: bool = False) -> tuple[str, ...]:
     """Nuisances that such a recording could tell apart."""
     drag = ("linear_drag", "quadratic_drag")
     gyroscope = ("gyro_bias", "gyro_scale") if spin else ()
-    return (*drag, *gyroscope, *(("tilt", "delay") if spin and attitude else ()))
+    metre = ("metric_scale",) if position else ()
+    return (*drag, *gyroscope, *(("tilt", "delay") if spin and attitude else ()), *metre)
 
 
 def choose(

@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.errors import InvalidInput, NotIdentifiable
+from jaxrb.fit.metre import METRIC_SCALE
 from jaxrb.fit.problem import Prior
 from jaxrb.fit.residuals import TrajectoryResidual
 from jaxrb.fit.segments import Flights
@@ -25,6 +27,7 @@ BELIEFS = {
     "gyro_scale": (0.0, 0.01),
     "tilt": (0.0, 0.05),
     "delay": (0.0, 0.005),
+    METRIC_SCALE: (0.0, 0.05),
 }
 
 
@@ -39,6 +42,7 @@ class Wishes:
     huber: float
     prior: Mapping[str, tuple[float, float]]
     max_iterations: int
+    metre: bool = False  # whether the metric scale is wanted; it is found beside the rotations
 
 
 def wishes_of(recording, trace, drag, nuisances, centre, huber, prior, max_iterations) -> Wishes:
@@ -52,7 +56,11 @@ def wishes_of(recording, trace, drag, nuisances, centre, huber, prior, max_itera
             f"{recording.source}: the centre of mass was asked for, and rotation does not depend on it; record an "
             "accelerometer (specific_force)."
         )
-    able = candidates(recording.angular_velocity is not None, recording.orientation is not None)
+    able = candidates(
+        recording.angular_velocity is not None,
+        recording.orientation is not None,
+        _shows_metre(recording, nuisances),
+    )
     named = () if nuisances == "auto" else tuple(nuisances)
     for name in (*named, *(prior or {})):
         if name != "scale" and name not in able:
@@ -67,9 +75,15 @@ def wishes_of(recording, trace, drag, nuisances, centre, huber, prior, max_itera
         always |= dict.fromkeys(("lever_arm", "accelerometer_bias"))
     among = tuple(name for name in able if name not in always) if nuisances == "auto" else ()
     prior = {**{name: BELIEFS[name] for name in among}, **(prior or {})}
-    return Wishes(
-        trace, tuple(always), among, centre, np.inf if huber is None else huber, prior, max_iterations
-    )
+    wanted = METRIC_SCALE in (*always, *among)
+    always, among = (tuple(name for name in names if name != METRIC_SCALE) for names in (always, among))
+    bound = np.inf if huber is None else huber
+    return Wishes(trace, always, among, centre, bound, prior, max_iterations, wanted)
+
+
+def _shows_metre(recording: Recording, nuisances: Any) -> bool:
+    """Whether to look for an error of the metre: by itself only where tosses enough can show it."""
+    return recording.position is not None and (nuisances != "auto" or recording.tosses > 1)
 
 
 def problem_of(
@@ -101,6 +115,8 @@ def _prior(
         return None
     mean, precision = np.zeros(residual.shared_size), np.zeros(residual.shared_size)
     for name, (value, deviation) in beliefs.items():
+        if name == METRIC_SCALE and np.isfinite(value) and deviation > 0:
+            continue  # weighed where it is found
         if not (np.isfinite(value) and deviation > 0) or (name == "scale" and not value > 0):
             raise InvalidInput(
                 f"fit_inertia: prior of {name!r} is ({value}, {deviation}); give mean and deviation > 0."
