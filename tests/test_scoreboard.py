@@ -21,6 +21,8 @@ from jaxrb.bench.published import (
 from jaxrb.bench.rigid_body_problem import MOMENTS, SCALES, exact_end, problem
 from jaxrb.bench.scoreboard import ROWS, rows_of
 from jaxrb.errors import UnknownName
+from jaxrb.fit.predictions import recorded, side_by_side, toss_errors
+from jaxrb.io import read_recording
 from jaxrb.scene.contact_library import slab_with_balls, spheres_216
 from jaxrb.scene.library import gazebo_boxes, tumbling_brick
 from jaxrb.scene.scene import energy
@@ -175,26 +177,24 @@ def test_balls_roll_on_the_slab_with_two_sevenths_of_its_acceleration():
 def test_tosses_of_a_real_cube_are_predicted(monkeypatch):
     """Every second recording, with the numbers that the others gave; without friction it slides off."""
     monkeypatch.chdir(ORACLE.parent.parent if ORACLE.is_dir() else "/")
-    if tosses.recordings() is None:
+    file = tosses.recordings()
+    if file is None:
         pytest.skip("the recorded tosses (shared/data/cube_tosses next to the repository) are not here")
-    recorded, rate = tosses.read(tosses.recordings())
-    kept = recorded.some(np.arange(1, 150, 2))
-    found = tosses._figures(*tosses.errors(kept, rate, np.array([0.18, 0.09, 0.97, 1.0, 1.5])))
+    every, rate = recorded(read_recording(file))
+    kept = every.some(np.arange(1, 150, 2))
+    numbers = {"friction": 0.18, "restitution": 0.09, "metric_scale": -0.03, "size": 1.0, "inertia": 1.5}
+    found = tosses._figures(*toss_errors(kept, rate, tosses.scene_of, numbers))
     assert found["position_mm"] < tosses.GOAL_MM
     assert found["attitude_deg"] < tosses.GOAL_DEG
-    slippery = tosses._figures(*tosses.errors(kept, rate, np.array([0.05, 0.09, 0.97, 1.0, 1.5])))
+    slippery = tosses._figures(*toss_errors(kept, rate, tosses.scene_of, numbers | {"friction": 0.05}))
     assert slippery["position_mm"] > 3 * tosses.GOAL_MM
 
 
-def test_shorter_tosses_are_filled_up_with_their_last_frame(tmp_path):
+def test_shorter_tosses_are_filled_up_with_their_last_frame():
     rows = np.arange(5.0)
     parts = {"position": 3, "orientation": 4, "velocity": 3, "angular_velocity": 3}
-    file = tmp_path / "cube_tosses_2.npz"
-    np.savez(
-        file, length=[2, 3], rate_hz=148.0, **{k: np.tile(rows[:, None], (1, n)) for k, n in parts.items()}
-    )
-    read, rate = tosses.read(file)
-    assert rate == 148.0
+    columns = {k: np.tile(rows[:, None], (1, n)) for k, n in parts.items()}
+    read = side_by_side(columns, np.array([2, 3]))
     np.testing.assert_array_equal(read.position[..., 0], [[0, 1, 1], [2, 3, 4]])
     np.testing.assert_array_equal(read.there, [[True, True, False], [True, True, True]])
 

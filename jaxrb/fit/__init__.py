@@ -20,6 +20,11 @@ from jaxrb.fit.residuals import UNKNOWNS as UNKNOWNS
 from jaxrb.fit.scene_fit import SceneFit as SceneFit
 from jaxrb.fit.scene_fit import fit_scene as fit_scene
 from jaxrb.fit.segments import find_flights as find_flights
+from jaxrb.fit.tosses import TOSS_UNKNOWNS as TOSS_UNKNOWNS
+from jaxrb.fit.tosses import Search as Search
+from jaxrb.fit.tosses import TossFit as TossFit
+from jaxrb.fit.tosses import fit_tosses as fit_tosses
+from jaxrb.fit.tosses import solid_on_table as solid_on_table
 
 
 class _Callable(ModuleType):

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from jaxrb.fit.inertia import fit_inertia
+from jaxrb.fit.report import InertiaFit
+from jaxrb.fit.toss_command import tosses_fitted
 from jaxrb.io.recording_files import read_recording
 
 
@@ -29,12 +31,19 @@ def fit(
     internal_momentum: tuple[float, float, float] | None = None,
     internal_momentum_unit: Literal["kg m²/s", "N m s"] | None = None,
     gaps: Literal["refuse", "leave out"] = "leave out",
+    tosses: tuple[str, ...] = (),
+    half_extents: tuple[float, float, float] | None = None,
+    radius: float | None = None,
+    mass: float = 1.0,
+    rounds: int = 10,
 ) -> None:
-    """Inertia of a tumbling body from a recording (NPZ or CSV), with error bars.
+    """Inertia of a tumbling body from a recording (NPZ or CSV), with error bars; with --tosses, numbers of its contact.
 
     Example: jaxrb fit tosses.npz --json
     Example: jaxrb fit throw.csv --angular-velocity-unit deg/s --html throw.html
     Example: jaxrb fit wheel.csv --internal-momentum 0 0 0.012
+
+    Example: jaxrb fit cube.npz --tosses friction restitution metric_scale --half-extents 0.05 0.05 0.05 --mass 0.37
 
     Args:
         file: recording; its layouts are described in jaxrb.io.recording_files and jaxrb.io.recording_csv.
@@ -55,6 +64,12 @@ def fit(
         internal_momentum: of a wheel at constant speed [kg m²/s, or its unit], relative to the body, body frame.
         internal_momentum_unit: of a file that does not say.
         gaps: what becomes of samples with missing values, repeated or out of order; those left out are counted.
+        tosses: instead, find these from tosses onto a table at z = 0: friction, restitution (or log10_stiffness),
+            metric_scale, size, inertia; the first recorded states are run on and compared with the rest.
+        half_extents: of a box that is tossed [m].
+        radius: of a ball that is tossed [m].
+        mass: of what is tossed [kg]; only a compliant contact knows it.
+        rounds: of the search over tosses, of 12 sets of numbers each.
 
     Raises:
         JaxrbError: for a file that cannot be read or a motion that does not determine the ratios.
@@ -62,35 +77,32 @@ def fit(
     from tqdm import tqdm
 
     began = time.perf_counter()
-    # disable=None: no bar where nobody watches. JSON on standard output stays clean either way.
+    # disable=None: no bar where nobody watches.
     with tqdm(total=None, bar_format="{desc} [{elapsed}]", leave=False, disable=None, file=sys.stderr) as bar:
         bar.set_description_str(f"reading {file}")
         recording = read_recording(
-            file,
-            time_unit=time_unit,
-            angular_velocity_unit=angular_velocity_unit,
-            angular_velocity_frame=angular_velocity_frame,
-            length_unit=length_unit,
-            specific_force_unit=specific_force_unit,
-            internal_momentum=internal_momentum,
-            internal_momentum_unit=internal_momentum_unit,
-            gaps=gaps,
-        )
-        found = fit_inertia(
-            recording,
-            trace=trace,
-            angular_drag=drag,
-            nuisances="auto" if nuisances == ("auto",) else () if nuisances == ("none",) else nuisances,
-            centre_of_mass=centre_of_mass,
-            required=required,
-            minimum_samples=minimum_samples,
-            progress=bar.set_description_str,
-        )
-        if html is not None:
-            bar.set_description_str(f"drawing {html}")
+            file, time_unit=time_unit, angular_velocity_unit=angular_velocity_unit,
+            angular_velocity_frame=angular_velocity_frame, length_unit=length_unit,
+            specific_force_unit=specific_force_unit, internal_momentum=internal_momentum,
+            internal_momentum_unit=internal_momentum_unit, gaps=gaps,
+        )  # fmt: skip
+        say = bar.set_description_str
+        if tosses:
+            found = tosses_fitted(recording, tosses, half_extents, radius, mass, rounds, html, say)
+        else:
+            found = fit_inertia(
+                recording, trace=trace, angular_drag=drag, nuisances=_nuisances(nuisances),
+                centre_of_mass=centre_of_mass, required=required, minimum_samples=minimum_samples, progress=say,
+            )  # fmt: skip
+        if html is not None and isinstance(found, InertiaFit):
+            say(f"drawing {html}")
             found.save_html(html)
     seconds = time.perf_counter() - began
     if json:
         print(json_text.dumps({**found.as_dict(), "seconds": seconds}))
     else:
         print(f"{found.summary()}\nTime: {seconds:.1f} s.")
+
+
+def _nuisances(names: tuple[str, ...]) -> tuple[str, ...] | Literal["auto"]:
+    return "auto" if names == ("auto",) else () if names == ("none",) else names

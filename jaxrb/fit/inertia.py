@@ -20,7 +20,7 @@ from jaxrb.fit.selection import Tried, values
 from jaxrb.fit.several import as_one
 from jaxrb.fit.stages import Fitted, Problem
 from jaxrb.fit.uncertainty import fitted_information, model_covariance
-from jaxrb.fit.wishes import wishes_of
+from jaxrb.fit.wishes import Wishes, wishes_of
 from jaxrb.io.recording import Recording
 
 
@@ -100,18 +100,10 @@ def fit_inertia(
         check_required(required, ratios, scale_seen, centre_of_mass, recording.source)
         info = fitted_information(problem, fitted.solution, fitted.weight)
         fall = _free_fall(recording, flights)
-        wanted = wishes.metre and (fall is not None or nuisances != "auto")
-        belief = wishes.prior.get(METRIC_SCALE)
-        metre = metric_scale(fall, gravity, belief, recording.source) if wanted else None
+        metre = _metre(fall, wishes, nuisances == "auto", gravity, recording.source)
+        shown = [*tried, metre.tried] if metre is not None and nuisances == "auto" else tried
         nuisance = _nuisance(
-            problem,
-            fitted,
-            fall,
-            misfit,
-            [*tried, *([metre.tried] if metre is not None and nuisances == "auto" else [])],
-            model_covariance(info),
-            wishes.prior,
-            metre,
+            problem, fitted, fall, misfit, shown, model_covariance(info), wishes.prior, metre
         )
         toss = np.array([flight.toss for flight in flights.flights])
         return inertia_fit(problem, fitted, ratios, info, toss, nuisance, trace, correlation)
@@ -144,6 +136,13 @@ def _doubt(misfit: float) -> str:
         'free tumble and noise is in them: air drag or an instrument\'s errors (try nuisances="auto"), a contact, a '
         "wrong unit or frame, or a poor start. Neither the value nor its error bar can be trusted."
     )
+
+
+def _metre(fall: FreeFall | None, wishes: Wishes, auto: bool, gravity: float, source: str) -> Metre | None:
+    """The metric scale where it is wanted; left out where nobody asked by name and the free fall is not there."""
+    if not wishes.metre or (auto and fall is None):
+        return None
+    return metric_scale(fall, gravity, wishes.prior.get(METRIC_SCALE), source)
 
 
 def _free_fall(recording: Recording, flights: Flights) -> FreeFall | None:

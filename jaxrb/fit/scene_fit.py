@@ -98,17 +98,7 @@ def fit_scene(
     if loss is not None and optimiser is None:
         raise InvalidInput("fit: a loss of your own needs an optimiser, such as optimiser=optax.adam(0.05).")
     dt, compared = _checked(recording, scales)
-    if isinstance(scene, Scene):
-        start, given = unknowns(scene), scene
-
-        def build(values: Any) -> Scene:
-            return eqx.tree_at(unknowns, given, values)
-    else:
-        start, made = unknowns, scene
-
-        def build(values: Any) -> Scene:
-            return made(values)
-
+    start, build = _to_build(scene, unknowns)
     wanted = unknowns_of(start)
     if wanted.penalised and huber is not None:
         raise InvalidInput(
@@ -146,11 +136,21 @@ def fit_scene(
     without = {**data, "barrier": 0.0 * data["barrier"]}
     seen = _solve(residual, moved, without, bound, 0)[1] if wanted.bounded else information
     wanted.check_seen(seen, moved, recording.source)
-    rates = wanted.rates(moved)
-    variance = float(left @ left) / max(left.size - wanted.size, 1)
-    covariance = variance * rates @ np.linalg.inv(information) @ rates.T
-    covariance = covariance if loss is None else np.full_like(covariance, np.nan)
+    covariance = _covariance(wanted, moved, information, left) * (1.0 if loss is None else np.nan)
     return _result(wanted, moved, build, covariance, _noise(left, compared), iterations, ended)
+
+
+def _to_build(scene: Scene | Callable[[Any], Scene], unknowns: Any) -> tuple[Any, Callable[[Any], Scene]]:
+    """The tree to start from, and the scene with other numbers in its place."""
+    if isinstance(scene, Scene):
+        return unknowns(scene), lambda values: eqx.tree_at(unknowns, scene, values)
+    return unknowns, scene
+
+
+def _covariance(wanted: Unknowns, step: Any, information: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Of the tree's numbers (N, N), with the noise that the residuals (R,) of the data show."""
+    rates, variance = wanted.rates(step), float(left @ left) / max(left.size - wanted.size, 1)
+    return variance * rates @ np.linalg.inv(information) @ rates.T
 
 
 def _by_squares(residual: Any, wanted: Unknowns, data: dict[str, Any], huber: float, max_iterations: int):
