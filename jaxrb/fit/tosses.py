@@ -54,7 +54,7 @@ TOSS_UNKNOWNS: dict[str, tuple[Search, str]] = {
 
 @dataclass(frozen=True)
 class TossFit:
-    """Numbers with the least mean error, with standard errors by a bootstrap over tosses among the runs tried.
+    """Numbers with the least mean error; standard errors by a bootstrap over tosses, and by how fine the search was.
 
     `position_error` (n,) [m, as recorded] and `attitude_error` (n,) [rad] are the means over each toss; `runs` counts
     the sets of numbers tried. The bars are as coarse as the tried numbers lie, and know nothing of a wrong model.
@@ -175,9 +175,13 @@ def solid_on_table(shape: Shape, mass: float = 1.0) -> Scenes:
 
 
 def _scatter(tried: list[tuple[float, np.ndarray, np.ndarray]], random: np.random.Generator) -> np.ndarray:
-    """Standard deviation of the best numbers when tosses are drawn again, with repetition."""
+    """Scatter of the best numbers when tosses are drawn again, with repetition, and of the best three of the search.
+
+    `tried` is sorted. The second part is how fine the search was: few tosses always choose the same run.
+    """
     numbers, each = np.stack([entry[1] for entry in tried]), np.stack([entry[2] for entry in tried])
     count = each.shape[1]
     drawn = random.multinomial(count, np.full(count, 1.0 / count), size=_BOOTSTRAPS)
     finite = np.all(np.isfinite(each), axis=1)
-    return numbers[finite][np.argmin(drawn @ each[finite].T, axis=1)].std(axis=0)
+    again = numbers[finite][np.argmin(drawn @ each[finite].T, axis=1)].std(axis=0)
+    return np.hypot(again, numbers[:3].std(axis=0))
