@@ -39,7 +39,7 @@ CONTACT = {
     "arch": 13000,
     "pile_of_64": 10300,
     "spheres_216": 6000,
-    "sphere_box": 6000,
+    "sphere_box": 6600,
     "cube_toss": 4500,
     "spinning_coin": 4100,
     "tippe_top": 3800,

@@ -13,6 +13,7 @@ from jaxrb.collision.touch import contact_points
 from jaxrb.contact.block import Contacts, Incidence
 from jaxrb.contact.memory import Memory, recalled
 from jaxrb.contact.near import Near
+from jaxrb.contact.pairs import points_where
 from jaxrb.contact.surfaces import Meeting, Obstacle
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.effects.surfaces import Kind, placed, standing
@@ -95,10 +96,9 @@ def _between(kinds: tuple[Kind, ...], meeting: Meeting, state: State, pair: Any)
         else:
             at = jnp.maximum(pair, 0)
             sides.append(placed(kinds[kind], jnp.asarray(rows)[at], state, jnp.asarray(bodies)[at]))
-    points = jax.vmap(contact_points)(*sides[0], *sides[1])
     if isinstance(pair, np.ndarray):
-        return points
-    return points._replace(valid=points.valid & (pair >= 0)[:, None])
+        return jax.vmap(contact_points)(*sides[0], *sides[1])
+    return points_where((*sides[0], *sides[1]), pair >= 0)
 
 
 def _joined(

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxrb.contact.block import Contacts
 from jaxrb.contact.problem import Problem
-from jaxrb.contact.solver import Solution
+from jaxrb.contact.solution import Solution
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.safe import divide, safe_sqrt
 from jaxrb.math.vector import dot

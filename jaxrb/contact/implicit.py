@@ -24,8 +24,9 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxrb.contact.law import projected
 from jaxrb.contact.many import solve_all
 from jaxrb.contact.names import SOLVED
+from jaxrb.contact.newton import compliance
 from jaxrb.contact.problem import Problem
-from jaxrb.contact.solver import Solution, compliance
+from jaxrb.contact.solution import Solution
 from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.vector import dot

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jaxrb.contact.problem import Problem
-from jaxrb.contact.solver import Solution
+from jaxrb.contact.solution import Solution
 from jaxrb.joints.reactions import JointReactions
 from jaxrb.math.arrays import Array, Scalar
 

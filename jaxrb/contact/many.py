@@ -15,8 +15,10 @@ from jax import lax
 from jax.custom_batching import custom_vmap
 
 from jaxrb.contact.block import Contacts, Incidence
+from jaxrb.contact.platform import on_accelerator
 from jaxrb.contact.problem import Problem
-from jaxrb.contact.solver import Solution, no_contact, solve_contacts, speed_to_take
+from jaxrb.contact.solution import Solution, no_contact, speed_to_take
+from jaxrb.contact.solver import solve_contacts
 from jaxrb.math.arrays import Array, Scalar, Vector
 
 # Problems in a row. Shorter rows wait less for their slowest, longer ones fill the vector units better.
@@ -34,13 +36,14 @@ def solve_all(problem: Problem, start: Vector) -> Solution:
 
 @custom_vmap
 def _solve_worlds(problem: Problem, start: Vector) -> Solution:
-    return solve_contacts(problem, start)
+    touches = speed_to_take(problem, problem.free) > 0
+    return lax.cond(touches, solve_contacts, no_contact, problem, start)
 
 
 @_solve_worlds.def_vmap
 def _worlds(size: int, batched: Any, problem: Problem, start: Vector) -> tuple[Solution, Any]:
     arguments = _with_axis(size, batched, (problem, start))
-    if _on_accelerator():
+    if on_accelerator():
         return _all_batched(jax.vmap(solve_contacts)(*arguments))
     return _all_batched(lax.map(lambda one: _solve_worlds(*one), arguments))
 
@@ -52,7 +55,7 @@ def _solve_rows(problem: Problem, start: Vector) -> Solution:
     if count == 1:
         found = solve_contacts(*jax.tree.map(lambda leaf: leaf[0], (problem, start)))
         return jax.tree.map(lambda leaf: leaf[None], found)
-    if count <= _ROW or _on_accelerator():
+    if count <= _ROW or on_accelerator():
         return jax.vmap(solve_contacts)(problem, start)
     return _in_rows(problem, start)
 
@@ -159,8 +162,3 @@ def _with_axis(size: int, batched: Any, values: Any) -> Any:
 
 def _all_batched(found: Solution) -> tuple[Solution, Any]:
     return found, jax.tree.map(lambda _: True, found)
-
-
-def _on_accelerator() -> bool:
-    # There all lanes of a vmap run side by side, and rows would run one after the other.
-    return jax.default_backend() != "cpu"

@@ -6,7 +6,7 @@ from jax import lax
 
 from jaxrb.contact.impact import Course
 from jaxrb.contact.problem import Problem
-from jaxrb.contact.solver import Solution
+from jaxrb.contact.solution import Solution
 from jaxrb.math.arrays import Array, Scalar
 from jaxrb.math.vector import dot
 

@@ -20,7 +20,7 @@ from jaxrb.contact.implicit import solve, solve_crowd
 from jaxrb.contact.memory import Memory, first_memory, remembered
 from jaxrb.contact.problem import Problem, of_masses, world_inertia
 from jaxrb.contact.report import ContactReport, first_report, reported
-from jaxrb.contact.solver import Solution, crowd_tolerance, default_tolerance
+from jaxrb.contact.solution import Solution, crowd_tolerance, default_tolerance
 from jaxrb.contact.surfaces import Meeting, Obstacle
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.effects.surfaces import Kind

@@ -13,8 +13,9 @@ from jaxrb.contact.detection import Detected, detect
 from jaxrb.contact.impact import impact_scale
 from jaxrb.contact.linear import conjugate_gradients
 from jaxrb.contact.memory import Memory, recalled, remembered
+from jaxrb.contact.newton import compliance
 from jaxrb.contact.problem import Problem, world_inertia
-from jaxrb.contact.solver import compliance, solve_contacts
+from jaxrb.contact.solver import solve_contacts
 from jaxrb.effects.dynamics import Dynamics
 from jaxrb.math.arrays import Array, Scalar
 from jaxrb.math.safe import divide, norm

@@ -93,7 +93,7 @@ def struck(
 
 def _problem(dynamics: Dynamics, state: State, c: Contacts, motion: Array) -> Problem:
     inertia, inverse = world_inertia(dynamics, state.orientation)
-    tolerance = jnp.asarray(4 * float(jnp.finfo(state.dtype).eps), state.dtype)
+    tolerance = jnp.finfo(state.dtype).eps.astype(state.dtype)
     return Problem(
         c, c.distance, dynamics.bodies.mass, inertia, dynamics.inverse_mass, inverse, motion, tolerance
     )
