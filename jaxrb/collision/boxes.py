@@ -21,6 +21,7 @@ from jaxrb.collision.contact import Contact
 from jaxrb.collision.obb import fifteen_axes
 from jaxrb.geometry.primitives import Box
 from jaxrb.math.arrays import Array, Vector, components, entries, stack
+from jaxrb.math.kept import kept
 from jaxrb.math.safe import divide
 from jaxrb.math.settled import settled
 from jaxrb.math.vector import dot_of
@@ -40,7 +41,7 @@ def contact_of_boxes(box_a: Box, box_b: Box, rotation: Array, translation: Vecto
     """The contact of two boxes, b placed in the frame of a by `rotation` (3, 3) and `translation` (3,) [m]."""
     half_a, half_b = jnp.asarray(box_a.half_extents), jnp.asarray(box_b.half_extents)
     inputs = lax.stop_gradient((half_a, half_b, rotation, translation))
-    distance, normal, x, y, free, lower, upper = _searched(*inputs)
+    distance, normal, x, y, free, lower, upper = kept(_searched(*inputs))
     point_b = translation + rotation @ y
     weights, corners_a, corners_b = _spanned(x, y, free, inputs[:2], (half_a, half_b))
     corners_b = corners_b @ rotation.T + translation

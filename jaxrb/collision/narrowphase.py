@@ -14,6 +14,7 @@ from jaxrb.errors import WrongStructure
 from jaxrb.geometry.primitives import Box, Capsule, Composite, HalfSpace, Pose, Sphere
 from jaxrb.geometry.shape import Shape
 from jaxrb.math.arrays import Array
+from jaxrb.math.kept import kept
 from jaxrb.math.vector import matmul, matvec
 
 
@@ -135,7 +136,7 @@ def _in_frame_of_a(shape_a: Shape, shape_b: Shape, rotation: Array, translation:
         return closed_forms.segments(half_a, half_b, rotation[:, 2], translation)
     if isinstance(shape_a, Box) and isinstance(shape_b, Box):
         return contact_of_boxes(shape_a, shape_b, rotation, translation)
-    found = search(shape_a, shape_b, rotation, translation, swap)
+    found = kept(search(shape_a, shape_b, rotation, translation, swap))
     sides = []
     for k, (shape, r, t) in enumerate(((shape_a, None, None), (shape_b, rotation, translation))):
         side = _polytope_side if cores.is_polytope(shape) else _smooth_side

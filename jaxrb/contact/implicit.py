@@ -19,16 +19,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.ad_checkpoint import checkpoint_name
 
 from jaxrb.contact.law import projected
 from jaxrb.contact.many import solve_all
-from jaxrb.contact.names import SOLVED
 from jaxrb.contact.newton import compliance
 from jaxrb.contact.problem import Problem
 from jaxrb.contact.solution import Solution
 from jaxrb.errors import WrongStructure
 from jaxrb.math.arrays import Array, Scalar, Vector
+from jaxrb.math.kept import kept
 from jaxrb.math.vector import dot
 
 
@@ -40,8 +39,8 @@ def solve(problem: Problem, start: Vector) -> Solution:
 
 @solve.defjvp
 def _rule(primals: Any, tangents: Any) -> Any:
-    # Named so that a reverse pass keeps the answer instead of finding it again: the loops are most of the program.
-    found = jax.tree.map(lambda leaf: checkpoint_name(leaf, SOLVED), solve(*primals))
+    # The loops are most of the program.
+    found = kept(solve(*primals))
     numbers, rest = eqx.partition(primals[0], eqx.is_inexact_array)
     change, _ = eqx.partition(tangents[0], eqx.is_inexact_array)
     motion, impulse = _tangents(numbers, change, rest, found)

@@ -10,11 +10,11 @@ from jax import lax
 from jaxrb.body.state import State
 from jaxrb.body.unturned import shown
 from jaxrb.compilation import jit
-from jaxrb.contact import SOLVED
 from jaxrb.integrators.method import Method, contact_report
 from jaxrb.integrators.names import method_of
 from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.math.arrays import Array, Scalar, Vector
+from jaxrb.math.kept import KEEP_FOUND
 from jaxrb.scene import watch
 from jaxrb.scene.certificate import certificate_of
 from jaxrb.scene.path import Path
@@ -37,12 +37,12 @@ from jaxrb.scene.settings import (
 )
 from jaxrb.scene.status import Status, sound, status_after, with_contact
 
-# Of each step a reverse pass keeps what it began with and its contact solves, and forms the rest again: a program that
-# keeps all stores and reads hundreds of small arrays a step, and takes longer to compile and to run. (Against keeping
-# all of rows of steps, the gradient of a box on a floor, 1000 steps: to compile 8.1 s to 5.6, time over that of the run
-# 9.8 to 5.6; of sixteen boxes 41 s to 31, 4.2 to 3.1; of a double pendulum 41 s to 24, 30 to 10; of 1000 free bodies
-# 0.9 s to 0.8, 5.3 to 4.4. Memory a half to a tenth.)
-_KEPT = jax.checkpoint_policies.save_only_these_names(SOLVED)
+# Of each step a reverse pass keeps what it began with and what was searched for, and forms the rest again: a program
+# that keeps all stores and reads hundreds of small arrays a step, and takes longer to compile and to run. (Against
+# keeping all of rows of steps, the gradient of a box on a floor, 1000 steps: to compile 8.1 s to 5.6, time over that of
+# the run 9.8 to 5.6; of sixteen boxes 41 s to 31, 4.2 to 3.1; of a double pendulum 41 s to 24, 30 to 10; of 1000 free
+# bodies 0.9 s to 0.8, 5.3 to 4.4. Memory a half to a tenth. Sixteen boxes once more, faces and corners found again in
+# the reverse pass or kept: 25 s or 21.)
 # Runs of more steps times bodies are cut into blocks, and what their steps begin with is formed again as well.
 _IN_ONE = 16384
 _ROW = 64  # steps between saved states up to which these are the blocks
@@ -127,7 +127,7 @@ def _run_steps(
         new, memory = method.carried_step(dynamics, timed(state, done), memory, dt, given)
         return (at(start, new), memory, watch.counted(finite_steps, state, new), done + 1), None
 
-    one = jax.checkpoint(one, prevent_cse=False, policy=_KEPT)
+    one = jax.checkpoint(one, prevent_cse=False, policy=KEEP_FOUND)
 
     def timed(state: State, done: Array) -> State:
         # The time is counted, not added up: 1e6 additions in float32 would lose the third digit. It is formed where it
@@ -163,7 +163,7 @@ def _run_steps(
         rest = torque[saves * save_every :]
     if adjoint == "checkpoint" and long and save_every <= _ROW:
         # Longer stretches are cut by themselves; twice would be another copy of the step's program to compile.
-        stretch = jax.checkpoint(stretch, prevent_cse=False, policy=_KEPT)
+        stretch = jax.checkpoint(stretch, prevent_cse=False, policy=KEEP_FOUND)
     carry, saved = lax.scan(stretch, carry, regular, length=saves)
     if steps > saves * save_every:
         carry = advance(carry, rest, steps - saves * save_every)
@@ -200,7 +200,7 @@ def _in_blocks(one: Any, carry: tuple, given: Vector | None, length: int) -> tup
         regular = given[: blocks * block].reshape(blocks, block, *given.shape[1:])
         rest = given[blocks * block :]
     carry, _ = lax.scan(
-        jax.checkpoint(run_block, prevent_cse=False, policy=_KEPT), carry, regular, length=blocks
+        jax.checkpoint(run_block, prevent_cse=False, policy=KEEP_FOUND), carry, regular, length=blocks
     )
     if length > blocks * block:
         carry = _in_row(one, carry, rest, length - blocks * block)
