@@ -154,12 +154,14 @@ def _ends(
         enters.append((rate > 0).astype(jnp.int32))  # by the negative line
     first, last = jnp.maximum(*near_low), jnp.minimum(*near_high)
     there = (first <= last) & (first <= 1.0) & (last >= -1.0)
-    entry = jnp.where(low[0] >= low[1], _X + enters[0], _Y + enters[1])
-    leaving = jnp.where(high[0] <= high[1], _X + 1 - enters[0], _Y + 1 - enters[1])
+    # Which line it is, the slack decides as well: a side that lies in the rectangle's own side never leaves by that.
+    by_x, out_by_x = near_low[0] >= near_low[1], near_high[0] <= near_high[1]
+    entry = jnp.where(by_x, _X + enters[0], _Y + enters[1])
+    leaving = jnp.where(out_by_x, _X + 1 - enters[0], _Y + 1 - enters[1])
     ends = []
     for corner, s, at, line in (
-        (first <= -1.0, jnp.maximum(*low), -1.0, entry),
-        (last >= 1.0, jnp.minimum(*high), 1.0, leaving),
+        (first <= -1.0, jnp.where(by_x, *low), -1.0, entry),
+        (last >= 1.0, jnp.where(out_by_x, *high), 1.0, leaving),
     ):
         kept = there if own else there & ~corner
         s = jnp.where(corner, at, jnp.clip(s, -1.0, 1.0))

@@ -175,6 +175,47 @@ def test_box_on_a_box_touches_at_the_corners_of_what_they_share(boxes, dtype, to
     assert np.diff(np.append(angles, angles[0] + 2 * np.pi)).max() < 0.76 * np.pi
 
 
+@pytest.mark.parametrize(
+    "sizes", [((0.1, 0.1, 0.1), (0.1, 0.1, 0.1)), ((0.5, 0.25, 0.5), (0.25, 0.25, 0.125))]
+)
+def test_boxes_whose_sides_lie_in_line_touch_at_the_corners_of_what_they_share(sizes, many, dtype, tolerance):
+    """Shifted along one side or two, by hairs or by much, on each of the six faces and after each quarter turn: a side
+    that lies in the other's side is neither entered nor left by it."""
+    one, other = np.array(sizes)
+    shifts = np.array([-1.0, -0.9, -0.1, -1e-7, 0.0, 1e-7, 0.1, 0.9, 1.0])
+    cases = np.array(np.meshgrid(range(3), (-1, 1), (-0.01, 0.02), shifts, shifts, range(4))).reshape(6, -1).T
+    axis, side, gap, one_shift, two_shift, quarters = cases.T
+    axis, quarters, count = axis.astype(int), quarters.astype(int), len(cases)
+    rows = np.arange(count)
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    # As many quarter turns about the axis of the faces: odd ones exchange the half edges along the others.
+    half = np.broadcast_to(other, (count, 3)).copy()
+    odd = quarters % 2 == 1
+    half[rows[odd], first[odd]], half[rows[odd], second[odd]] = other[second[odd]], other[first[odd]]
+    room = one + half
+    centre = np.zeros((count, 3))
+    centre[rows, first] = one_shift * (one[first] - half[rows, first] + 0.9 * half[rows, first])
+    centre[rows, second] = two_shift * (one[second] - half[rows, second] + 0.9 * half[rows, second])
+    centre[rows, axis] = side * (room[rows, axis] + gap)
+    turn = np.array([[1, 0, 0, 0], [1, 0, 0, 1], [0, 0, 0, 1], [-1, 0, 0, 1]]) / np.sqrt([[1], [2], [1], [2]])
+    quaternions = np.zeros((count, 4))
+    quaternions[:, 0], quaternions[rows, 1 + axis] = turn[quarters, 0], turn[quarters, 3]
+    poses_a = poses(np.zeros((count, 3)), np.tile([1.0, 0, 0, 0], (count, 1)), dtype)
+    found = many(rb.Box(one), poses_a, rb.Box(other), poses(centre, quaternions, dtype))
+    low, high = np.maximum(-one, centre - half), np.minimum(one, centre + half)
+    corners = np.stack([np.where(np.array(pick), high, low) for pick in np.ndindex(2, 2, 2)], axis=1)
+    middle = side * one[axis] + 0.5 * side * gap
+    np.put_along_axis(corners, np.repeat(axis, 8).reshape(count, 8, 1), middle[:, None, None], axis=2)
+    assert found.valid.all()
+    tol = tolerance(float64=1e-12, float32=2e-7) + 3e-4 * one.max() * (np.abs(cases[:, 3:5]) == 1e-7).any(
+        axis=1
+    )
+    assert (np.abs(found.distance - gap[:, None]).max(axis=1) <= tol).all()
+    away = np.abs(found.position[:, :, None] - corners[:, None]).max(axis=-1)
+    assert (away.min(axis=1).max(axis=1) <= tol).all()
+    assert (away.min(axis=2).max(axis=1) <= tol).all()
+
+
 @pytest.mark.parametrize("gap", [-0.03, 0.0, 0.4])
 def test_crossed_edges_touch_in_one_point_midway(gap, boxes, dtype, tolerance):
     """Two cubes, each standing on an edge, the edges at right angles one above the other, away from the origin."""
