@@ -107,6 +107,16 @@ def smooth_support(shape: Shape, rotation: Array | None, translation: Array | No
     return support
 
 
+def cosine_of_ruling(shape: Shape) -> Array | None:
+    """Between the axis and the normals along whose lines a smooth shape touches; None for one that has no lines."""
+    if isinstance(shape, Cylinder):
+        return jnp.zeros_like(jnp.asarray(shape.radius))
+    if isinstance(shape, Cone):
+        radius, height = jnp.asarray(shape.radius), jnp.asarray(shape.height)
+        return radius / jnp.sqrt(radius * radius + height * height)
+    return None
+
+
 def normal_fan(shape: Shape, points: Any, rotation: Array | None) -> NormalFan:
     """Faces and edges of a core or of its inscribed polytope whose points (n, 3, L) are placed already."""
     lanes = points.shape[-1]

@@ -4,7 +4,7 @@ The gradient of a support function is the support point, so the gradient of F on
 difference w = x_a(n) − x_b(−n) across n, and its Hessian is that of the support functions less F times the identity.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -59,30 +59,81 @@ def newton(
     return lax.fori_loop(0, turns, turn, (normal, value))
 
 
-def along_edge(
-    supports: tuple[Support, Support], normal: Any, value: Any, scale: Any, edge: Any, turns: int
+class Ruling(NamedTuple):
+    """Normals of a body that touch it along a whole straight line, where F has a kink: n · `axis` = `cosine`.
+
+    `axis` (3, L): the axis of a cylinder or cone, an edge of a polytope; zero where there is none. `cosine` (L,).
+    """
+
+    axis: Any
+    cosine: Any
+
+
+def along_rulings(
+    supports: tuple[Support, Support], normal: Any, value: Any, scale: Any, rulings: list[Ruling], turns: int
 ) -> tuple[Any, Any]:
-    """`newton` among the directions across an edge (3, L) of a polytope, where F has a kink; nothing if it is zero."""
-    squared = dot(edge, edge)
-    axis = unit(edge)
+    """`newton` among the normals of each ruling, and where those of both meet; nothing where there is none."""
+    if not rulings:
+        return normal, value
+
+    def one(carry: Any, ruling: Ruling) -> Any:
+        return _along(supports, *carry, scale, ruling, turns), None
+
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *rulings)
+    (normal, value), _ = lax.scan(one, (normal, value), stacked)
+    if len(rulings) == 1:
+        return normal, value
+    return _where_both_meet(supports, normal, value, *rulings)
+
+
+def _along(
+    supports: tuple[Support, Support], normal: Any, value: Any, scale: Any, ruling: Ruling, turns: int
+) -> Any:
+    axis, cosine = ruling
+    sine = jnp.sqrt(1.0 - cosine * cosine)
+    tolerance = 4 * jnp.finfo(value.dtype).eps * scale
+
+    def onto(n: Any) -> Any:
+        """The nearest normal of the ruling, and whether there is one."""
+        side = n - dot(n, axis) * axis
+        return unit(cosine * axis + sine * unit(side)), (dot(side, side) > 1e-6) & (dot(axis, axis) > 0)
 
     def difference(n: Any) -> Any:
         return supports[0](n)[0] - supports[1](-n)[0]
 
     def turn(_: Any, carry: Any) -> Any:
         normal, value = carry
-        level = unit(normal - dot(normal, axis) * axis)
-        tangent = cross(level, axis)
+        level, there = onto(normal)
+        tangent = cross(axis, level)
         w, bent = jax.jvp(difference, (level,), (tangent,))
-        stiffness = dot(tangent, bent) - dot(level, w)
-        slope = dot(tangent, w)
-        step = -slope / jnp.where(stiffness != 0, jnp.abs(stiffness), 1.0)
-        tried = unit(level + step * tangent)
+        # On the circle n'' = −(n − (n · axis) axis).
+        stiffness = dot(tangent, bent) - (dot(level, w) - cosine * dot(axis, w))
+        step = -dot(tangent, w) / jnp.where(stiffness != 0, jnp.abs(stiffness), 1.0)
+        tried, still = onto(level + jnp.clip(step, -0.5, 0.5) * tangent)
         new = dot(tried, difference(tried))
-        better = (squared > 0) & (new <= value + 4 * jnp.finfo(value.dtype).eps * scale)
+        better = there & still & (new <= value + tolerance)
         return jnp.where(better, tried, normal), jnp.where(better, new, value)
 
     return lax.fori_loop(0, turns, turn, (normal, value))
+
+
+def _where_both_meet(
+    supports: tuple[Support, Support], normal: Any, value: Any, one: Ruling, other: Ruling
+) -> tuple[Any, Any]:
+    """The two normals n with n · u = α and n · v = β, where they are better."""
+    u, v, k = one.axis, other.axis, dot(one.axis, other.axis)
+    across = 1.0 - k * k
+    apart = (dot(u, u) > 0) & (dot(v, v) > 0) & (across > 1e-6)
+    across = jnp.where(apart, across, 1.0)
+    p, q = (one.cosine - k * other.cosine) / across, (other.cosine - k * one.cosine) / across
+    rest = 1.0 - p * p - q * q - 2.0 * p * q * k
+    height = jnp.sqrt(jnp.where(rest > 0, rest, 0.0) / across)
+    for sign in (1.0, -1.0):
+        tried = unit(p * u + q * v + sign * height * cross(u, v))
+        new = dot(tried, supports[0](tried)[0] - supports[1](-tried)[0])
+        better = apart & (rest >= 0) & (new <= value)
+        normal, value = jnp.where(better, tried, normal), jnp.where(better, new, value)
+    return normal, value
 
 
 def best_of_many(

@@ -10,7 +10,7 @@ from jaxrb.collision import cores
 from jaxrb.collision.arcs import depth_by_arcs
 from jaxrb.collision.gjk import Simplex, Support, gjk
 from jaxrb.collision.lanes import cross, first_of, unit
-from jaxrb.collision.newton import along_edge, best_of_many, newton
+from jaxrb.collision.newton import Ruling, along_rulings, best_of_many, newton
 from jaxrb.geometry.shape import Shape
 from jaxrb.math.arrays import Array
 from jaxrb.math.settled import settled
@@ -119,40 +119,56 @@ def searched(pair: Pair, before: Found, second: Any) -> Found:
     if not polytopes:
         simplex = _at_supports(pair, simplex, normal, distance, shift)
         distance = jnp.where(second | uncertain, distance, -depth)
+        # Of a sliver of nearly equal corners the nearest point itself is all round-off; these two are on the bodies.
+        held = jnp.sum(simplex.weights[:, None] * simplex.differences, axis=0) / simplex.weights.sum(axis=0)
+        held = held + shift
+        upper = jnp.where(second, upper, jnp.sqrt(dot(held, held)) + margin)
     return _found(pair, simplex, distance, normal, -depth - margin, upper, uncertain, shift)
 
 
 def _smooth_rounds(pair: Pair, apart: Any, normal: Any, depth: Any, second: Any) -> Any:
-    """GJK and Newton's method in turns: the first finds kinks in few steps, the second smooth minima."""
+    """GJK and Newton's method in turns: the first finds kinks in few steps, the second minima between them."""
+    settled_at = 64 * jnp.finfo(depth.dtype).eps
 
     def once(carry: Any) -> Any:
-        k, _, _, normal, depth = carry
-        simplex, shift, normal, _ = apart(normal, depth)
+        k, _, *_, before, depth = carry
+        simplex, shift, normal, _ = apart(before, depth)
         value = _overlap(pair, normal)
         normal, depth = newton(pair.supports, normal, value, pair.scale, 6)
-        normal, depth = along_edge(pair.supports, normal, depth, pair.scale, _edge(pair, simplex), 4)
-        return k + 1, simplex, shift, normal, depth
+        normal, depth = along_rulings(pair.supports, normal, depth, pair.scale, _rulings(pair, simplex), 4)
+        change = normal - before
+        return k + 1, jnp.any(dot(change, change) > settled_at**2), simplex, shift, normal, depth
 
     shapes = jax.eval_shape(apart, normal, depth)
     simplex, shift, *_ = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
     rounds = jnp.where(second, 16, 1)
-    _, *found = lax.while_loop(
-        lambda carry: carry[0] < rounds, once, (jnp.zeros((), jnp.int32), simplex, shift, normal, depth)
-    )
+    first = (jnp.zeros((), jnp.int32), jnp.ones((), bool), simplex, shift, normal, depth)
+    _, _, *found = lax.while_loop(lambda carry: (carry[0] < rounds) & carry[1], once, first)
     return found
 
 
-def _edge(pair: Pair, simplex: Simplex) -> Any:
-    """The longest side (3, L) between corners of a polytope that touch; zero where only one does."""
-    edge = jnp.zeros_like(pair.towards)
+def _rulings(pair: Pair, simplex: Simplex) -> list[Ruling]:
+    """Those of both bodies, by normals from a to b."""
+    found = []
     for k, shape in enumerate(pair.shapes):
-        if not cores.is_polytope(shape):
-            continue
-        points = simplex.points_a if k == 0 else simplex.points_a - simplex.differences
-        for i, j in ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)):
-            side = points[i] - points[j]
-            active = (simplex.weights[i] > 0) & (simplex.weights[j] > 0)
-            edge = jnp.where(active & (dot(side, side) > dot(edge, edge)), side, edge)
+        if cores.is_polytope(shape):
+            points = simplex.points_a if k == 0 else simplex.points_a - simplex.differences
+            found.append(Ruling(unit(_edge(simplex, points)), jnp.zeros_like(pair.scale)))
+        elif (cosine := cores.cosine_of_ruling(shape)) is not None:
+            axis = jnp.zeros_like(pair.towards).at[2].set(1.0)
+            if k == 1:
+                axis, cosine = jnp.moveaxis(pair.rotation[..., 2], 0, -1) + 0.0 * axis, -cosine
+            found.append(Ruling(axis, jnp.broadcast_to(cosine, pair.scale.shape).astype(pair.scale.dtype)))
+    return found
+
+
+def _edge(simplex: Simplex, points: Any) -> Any:
+    """The longest side (3, L) between those corners of a polytope that touch; zero where only one does."""
+    edge = jnp.zeros_like(points[0])
+    for i, j in ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)):
+        side = points[i] - points[j]
+        active = (simplex.weights[i] > 0) & (simplex.weights[j] > 0)
+        edge = jnp.where(active & (dot(side, side) > dot(edge, edge)), side, edge)
     return edge
 
 
