@@ -77,7 +77,7 @@ def along_rulings(
         return normal, value
 
     def one(carry: Any, ruling: Ruling) -> Any:
-        return _along(supports, *carry, scale, ruling, turns), None
+        return _along(supports, carry[0], carry[1], scale, ruling, turns), None
 
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *rulings)
     (normal, value), _ = lax.scan(one, (normal, value), stacked)
