@@ -1,13 +1,12 @@
 """The command line: `jaxrb demo | simulate | work-precision | plan | cost | scoreboard | fit | bench | hard-cases |
 gradient-check | view`."""
 
-import contextlib
+import difflib
 import importlib
 import json as json_text
 import os
 import sys
 import traceback
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -150,40 +149,31 @@ COMMANDS = {
 }
 
 
-@contextlib.contextmanager
-def _checks(in_full: bool) -> Iterator[None]:
-    """JAX's own checks of every program where they are asked for: each runs again, operation by operation, where NaN
-    came out of it, and what is traced is checked for consistency. Some times slower."""
-    import jax
-
-    if not in_full:
-        yield
-        return
-    with jax.debug_nans(True), jax.enable_checks(True):
-        yield
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Entry point of `jaxrb`. Exit codes: 0 done, 1 an error that jaxrb explains, 2 a wrong command line."""
-    import jax
+    from jaxrb.command_options import with_common
 
     arguments = sys.argv[1:] if arguments is None else arguments
-    x64, debug = "--float32" not in arguments, "--debug" in arguments
-    arguments = [argument for argument in arguments if argument not in ("--float32", "--x64", "--debug")]
+    debug = "--debug" in arguments
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in COMMANDS:
+        near = difflib.get_close_matches(arguments[0], COMMANDS, 1, 0.5)
+        meant = f"did you mean {near[0]}? " if near else ""
+        print(
+            f"jaxrb: there is no command {arguments[0]!r}; {meant}There are {', '.join(COMMANDS)}",
+            file=sys.stderr,
+        )
+        sys.exit(2)
     # Importing every command for the sake of its help text would make each wait for all.
     chosen = {arguments[0]} & set(COMMANDS) if arguments else set()
-    functions = {name: load() for name, load in COMMANDS.items() if not chosen or name in chosen}
+    functions = {name: with_common(load()) for name, load in COMMANDS.items() if not chosen or name in chosen}
     try:
-        with jax.enable_x64(x64), _checks(in_full=debug):
-            tyro.extras.subcommand_cli_from_dict(
-                functions,
-                prog="jaxrb",
-                description="Differentiable rigid-body dynamics that is honest about its accuracy. Commands run in "
-                "float64 (--x64); add --float32 for float32, and --debug to have every result checked and be "
-                "shown where the first comes from that is no number.",
-                args=arguments,
-                config=(tyro.conf.PositionalRequiredArgs,),
-            )
+        tyro.extras.subcommand_cli_from_dict(
+            functions,
+            prog="jaxrb",
+            description="Differentiable rigid-body dynamics that is honest about its accuracy.",
+            args=arguments,
+            config=(tyro.conf.PositionalRequiredArgs, tyro.conf.FlagCreatePairsOff),
+        )
         sys.stdout.flush()
     except JaxrbError as error:
         if debug:

@@ -13,6 +13,7 @@ from jaxrb.accuracy.drift import DriftRun, drift_run, free_boxes, reference
 from jaxrb.accuracy.work_precision import Point, end_state, measure
 from jaxrb.body.body import Body, replicate
 from jaxrb.data import TUMBLING_BRICK
+from jaxrb.draws import drawn
 from jaxrb.fit.inertia import fit_inertia
 from jaxrb.integrators.euler import ExplicitEuler
 from jaxrb.integrators.midpoint import ImplicitMidpoint
@@ -90,7 +91,7 @@ def _drift_runs() -> list[DriftRun]:
 
 
 def _points(bodies: int = 100, duration: float = 20.0) -> list[Point]:
-    omega = np.random.default_rng(1).normal(size=(bodies, 3)).tolist()
+    omega = drawn(1).normal(size=(bodies, 3)).tolist()
     scene = Scene(replicate(Body(1.0, (1.0, 2.0, 2.5)), bodies))
     start = scene.state(angular_velocity=omega)
     exact = end_state(scene, start, RungeKutta4(), jnp.asarray(duration), jnp.asarray(40_000))

@@ -75,16 +75,7 @@ def test_errors_are_told_in_a_line_and_exit_with_one(tmp_path):
 
 
 def test_wrong_command_line_exits_with_two():
-    assert jaxrb("dmeo").returncode == 2
     assert jaxrb("fit").returncode == 2
-
-
-@pytest.mark.parametrize("command", ["demo", "simulate", "fit", "bench", "view", "work-precision"])
-def test_help_has_an_example(command):
-    done = jaxrb(command, "--help")
-    assert done.returncode == 0
-    assert "Example" in done.stdout
-    assert "--json" in done.stdout
 
 
 def test_fit_of_the_bundled_recording_prints_json():

@@ -13,6 +13,7 @@ PACKAGE = pathlib.Path(jaxrb.__file__).parent
 FLOORS = {
     "errors": -2,
     "checks": -1,
+    "draws": -1,
     "compilation": -1,
     "tables": -1,
     "compilation_cache": -1,
@@ -34,7 +35,9 @@ FLOORS = {
     "hard": 8.5,  # a peer's figure stands beside ours
     "demo": 9,
     "simulate": 9,
+    "command_options": 9,
     "cli": 9.5,
+    "__main__": 10,
 }
 
 

@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from jaxrb.body.state import State
+from jaxrb.draws import drawn
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.geometry.primitives import HalfSpace
 from jaxrb.scene import contact_library as library
@@ -43,7 +44,7 @@ class Toss:
 
 def tosses(count: int = 100, tolerance: float = 1e-5, seed: int = 3) -> Iterator[Toss]:
     """Random tosses of the library's cube: friction 0.2 to 0.8, restitution 0 to 0.6."""
-    random = np.random.default_rng(seed)
+    random = drawn(seed)
     for _ in range(count):
         friction, restitution = random.uniform(0.2, 0.8), random.uniform(0.0, 0.6)
         scene, start = _thrown(friction, restitution, random)

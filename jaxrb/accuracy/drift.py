@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxrb.body.body import Body
 from jaxrb.body.state import State
+from jaxrb.draws import drawn
 from jaxrb.geometry.primitives import Box
 from jaxrb.integrators.method import Method
 from jaxrb.integrators.runge_kutta import RungeKutta4
@@ -38,7 +39,7 @@ class Boxes:
 
 def free_boxes(count: int = 9, seed: int = 0) -> Boxes:
     """`count` boxes of wood with edges of 0.2 to 0.8 m that spin at 1 to 3 rad/s, the same for the same seed."""
-    random = np.random.default_rng(seed)
+    random = drawn(seed)
     half = random.uniform(0.1, 0.4, (count, 3))
     side = int(np.ceil(np.sqrt(count)))
     grid = np.stack([np.arange(count) % side, np.arange(count) // side, np.zeros(count)], axis=-1) * 1.5

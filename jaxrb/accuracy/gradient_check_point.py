@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxrb.accuracy.gradient_check_differences import Differences
 from jaxrb.checks import is_concrete
+from jaxrb.draws import drawn
 from jaxrb.errors import InvalidInput, WrongStructure
 from jaxrb.scene.settings import check_count
 
@@ -83,7 +84,7 @@ class Point:
                     sizes.append(scale)
             return names, lines, sizes
         count = check_count("gradient_check: directions", _DRAWN if directions is None else directions, 1)
-        draw = np.random.default_rng(0)
+        draw = drawn(0)
         lines = [
             [
                 s * draw.choice([-1.0, 1.0], leaf.shape) / np.sqrt(size)

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.body.body import Body, replicate
+from jaxrb.draws import drawn
 from jaxrb.effects.custom import CustomForce
 from jaxrb.effects.effect import Wrench
 from jaxrb.effects.fixed_point import FixedPoint
@@ -71,7 +72,7 @@ def start(wide: bool = False) -> tuple[np.ndarray, np.ndarray]:
 
     All over, the fastest top sets the step of all, which a method that adapts to each group does not pay for.
     """
-    random = np.random.default_rng(0)
+    random = drawn(0)
     if wide:
         q = random.normal(size=(BODIES, 4))
         return q / np.linalg.norm(q, axis=1, keepdims=True), random.normal(size=(BODIES, 3))

@@ -18,6 +18,7 @@ from jaxrb.collision.broadphase import body_pairs
 from jaxrb.collision.mesh_pairs import MeshTree, meeting_triangles, mesh_distance
 from jaxrb.collision.narrowphase import separation
 from jaxrb.collision.obb import oriented_boxes_gap
+from jaxrb.draws import drawn
 from jaxrb.geometry.bounds import bounding_box, bounding_sphere, boxes_gap, oriented_box, spheres_gap
 from jaxrb.geometry.hull import ConvexHull, stack_hulls
 from jaxrb.geometry.mesh import TriangleMesh
@@ -41,7 +42,7 @@ def _row(what: str, **figures: Any) -> dict[str, Any]:
 
 
 def _volumes() -> Iterator[dict[str, Any]]:
-    random = np.random.default_rng(0)
+    random = drawn(0)
     hulls = [ConvexHull(random.normal(size=(16, 3)) * random.uniform(0.2, 1.0, 3)) for _ in range(SHAPES)]
     volumes = np.array([float(hull.mass_properties(1.0).mass) for hull in hulls])
     first, second = random.integers(0, SHAPES, (2, PAIRS))
@@ -124,7 +125,7 @@ def _hierarchy() -> Iterator[dict[str, Any]]:
 
 def _broad_phase() -> Iterator[dict[str, Any]]:
     """Bodies of half extents 0.2 to 0.5 m, one to each cubic metre."""
-    random = np.random.default_rng(0)
+    random = drawn(0)
     dtype = jax.dtypes.canonicalize_dtype(float)
     for count in BODIES:
         center, half = random.uniform(0, count ** (1 / 3), (count, 3)), random.uniform(0.2, 0.5, (count, 3))

@@ -11,6 +11,7 @@ import numpy as np
 from jaxrb.accuracy.timing import cpu_of_first, interleaved
 from jaxrb.collision import separation
 from jaxrb.collision.obb import oriented_boxes_gap
+from jaxrb.draws import drawn
 from jaxrb.geometry import Box, ConvexHull, Pose, stack_hulls
 from jaxrb.geometry.bounds import OrientedBox
 from jaxrb.math import Quaternion
@@ -22,7 +23,7 @@ _PEER_PAIRS = 512
 
 def rows() -> Iterator[dict[str, Any]]:
     """One row for each kind of pair and state: microseconds of CPU time a pair, seconds of the first call."""
-    generator = np.random.default_rng(0)
+    generator = drawn(0)
     dtype = jnp.result_type(float)
     half = generator.uniform(0.3, 1.0, size=(2, PAIRS, 3))
     for state, reach in (("apart", 3.5), ("overlapping", 0.6)):

@@ -15,6 +15,7 @@ from jaxrb.accuracy.mujoco_modules import mujoco_modules
 from jaxrb.accuracy.timing import cpu_of_first, interleaved
 from jaxrb.bench.peers import mujoco_version
 from jaxrb.body import Body, replicate
+from jaxrb.draws import drawn
 from jaxrb.effects import RigidContact, UniformGravity
 from jaxrb.geometry import Box, HalfSpace
 from jaxrb.scene import Scene
@@ -98,7 +99,7 @@ def _scene(boxes: int, places: Any) -> tuple[Scene, Any]:
 
 def _world(boxes: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """A heap about to fall: places, attitudes, velocities, spins of each box."""
-    random = np.random.default_rng(seed)
+    random = drawn(seed)
     side = int(np.ceil(boxes ** (1 / 3)))
     grid = np.array([(x, y, z) for z in range(side + 1) for y in range(side) for x in range(side)])[:boxes]
     turn = random.normal(size=(boxes, 4))

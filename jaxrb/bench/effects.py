@@ -23,6 +23,7 @@ from jaxrb.bench.absent import EFFECTS, same_program
 from jaxrb.bench.workloads import row
 from jaxrb.body.body import Body, replicate
 from jaxrb.body.state import State
+from jaxrb.draws import drawn
 from jaxrb.effects.drag import LinearDrag, QuadraticDrag
 from jaxrb.effects.gravity import UniformGravity
 from jaxrb.effects.thruster import PrescribedTorque
@@ -60,7 +61,7 @@ def rows() -> Iterator[dict[str, Any]]:
 def sphere_ratio() -> float:
     """CPU time of a rollout of one sphere under gravity over that of the same steps written out, in 1000 worlds."""
     scene = Scene(Body(1.0, 0.4), UniformGravity())
-    random = np.random.default_rng(0)
+    random = drawn(0)
     velocity, omega = random.normal(size=(2, BODIES, 1, 3))
 
     def start(velocity: Any, omega: Any) -> State:
@@ -156,7 +157,7 @@ def kinds() -> Iterator[dict[str, Any]]:
 
 def planar_ratio() -> float:
     """CPU time of bodies that move in a plane over that of x, y and an angle written out; both by Runge–Kutta 4."""
-    random = np.random.default_rng(0)
+    random = drawn(0)
     velocity, omega = random.normal(size=(2, BODIES, 3)) * np.array([[[1.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]]])
     scene = Scene(replicate(Body(1.0, (1.0, 2.0, 2.5)).restricted("xy", "z"), BODIES))
     state = scene.state(velocity=velocity, angular_velocity=omega)
@@ -206,7 +207,7 @@ def first_frames(repeats: int = 3) -> Iterator[dict[str, Any]]:
 def recommendations() -> tuple[int, int]:
     """Of `SCENES` random scenes, how many recommendations miss the tolerance of 1e-3, and effects dropped in all."""
     violations = dropped = 0
-    random = np.random.default_rng(1)
+    random = drawn(1)
     for _ in range(SCENES):
         size = 10.0 ** random.uniform(-7, 0, size=4)
         effects = (

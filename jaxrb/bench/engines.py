@@ -22,6 +22,7 @@ import numpy as np
 
 from jaxrb.bench import engine_child
 from jaxrb.body.body import Body
+from jaxrb.draws import drawn
 from jaxrb.scene.flight import free_flight
 from jaxrb.scene.scene import Scene
 
@@ -150,7 +151,7 @@ def _python_with(name: str) -> str:
 
 
 def _starts(worlds: int, height: float) -> dict[str, Any]:
-    random = np.random.default_rng(0)
+    random = drawn(0)
     turn = random.normal(size=(worlds, 4))
     turn /= np.linalg.norm(turn, axis=1, keepdims=True)
     place = np.tile([0.0, 0.0, height], (worlds, 1))

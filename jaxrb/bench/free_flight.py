@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxrb.bench.workloads import cpu_median, row
 from jaxrb.body.body import Body, replicate
+from jaxrb.draws import drawn
 from jaxrb.math.quaternion import attitude_error
 from jaxrb.math.vector import dot
 from jaxrb.scene.flight import free_flight
@@ -62,7 +63,7 @@ def long_errors() -> list[float]:
 
 
 def _crowd(inertia: Any, dtype: Any) -> tuple[Scene, Any]:
-    random = np.random.default_rng(0)
+    random = drawn(0)
     scene = Scene(replicate(Body(1.0, inertia), BODIES))
     state = scene.state(angular_velocity=random.normal(size=(BODIES, 3)).astype(dtype))
     # Moments of every body its own, within a few per cent.

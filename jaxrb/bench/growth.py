@@ -19,6 +19,7 @@ import jax
 import numpy as np
 
 from jaxrb.body.body import Body, replicate
+from jaxrb.draws import drawn
 from jaxrb.effects.gravity import UniformGravity
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.geometry.primitives import Box, HalfSpace
@@ -130,7 +131,7 @@ def _free(count: int) -> tuple[Scene, Any]:
 
 
 def _random(*shape: int) -> np.ndarray:
-    return np.random.default_rng(0).normal(size=shape).astype(jax.dtypes.canonicalize_dtype(float))
+    return drawn(0).normal(size=shape).astype(jax.dtypes.canonicalize_dtype(float))
 
 
 def _box() -> tuple[Scene, Any]:

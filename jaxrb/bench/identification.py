@@ -19,6 +19,7 @@ import numpy as np
 
 from jaxrb.bench.timing import both_clocks
 from jaxrb.compilation import compiler_options
+from jaxrb.draws import drawn
 from jaxrb.fit.least_squares import levenberg_marquardt
 from jaxrb.fit.packing import pack
 from jaxrb.fit.parametrise import coordinates_from_ratios
@@ -90,7 +91,7 @@ def fit_batch(
 
 def random_starts(count: int, seed: int = 0) -> np.ndarray:
     """Coordinates (count, 5) of bodies drawn in six log-Cholesky coordinates."""
-    random = np.random.default_rng(seed)
+    random = drawn(seed)
     log, below = 0.8 * random.normal(size=(count, 3)), 0.5 * random.normal(size=(count, 3))
     return np.concatenate([log[:, :2] - log[:, 2:], below * np.exp(-log[:, 2:])], axis=1)
 
@@ -99,13 +100,13 @@ def noisy_batch(
     spin: np.ndarray, noise: float, count: int, chain: FlightData, same: bool, seed: int = 1
 ) -> Any:
     """Measured angular velocities of `count` draws (or of one draw, `count` times) as chains and whole."""
-    random = np.random.default_rng(seed)
-    drawn = spin + noise * random.normal(size=(1 if same else count, *spin.shape))
-    drawn = np.broadcast_to(drawn, (count, *spin.shape))
+    random = drawn(seed)
+    noisy = spin + noise * random.normal(size=(1 if same else count, *spin.shape))
+    noisy = np.broadcast_to(noisy, (count, *spin.shape))
     index = np.minimum(
         np.arange(chain.present.shape[1])[:, None] * WINDOW + np.arange(WINDOW + 1), len(spin) - 1
     )
-    return jnp.asarray(drawn[:, None, index]), jnp.asarray(drawn[:, None, None])
+    return jnp.asarray(noisy[:, None, index]), jnp.asarray(noisy[:, None, None])
 
 
 def _program() -> Any:

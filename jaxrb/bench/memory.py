@@ -16,6 +16,7 @@ import numpy as np
 from jaxrb.accuracy.memory import compiled_run, memory
 from jaxrb.body.body import Body, replicate
 from jaxrb.body.state import State
+from jaxrb.draws import drawn
 from jaxrb.effects.drag import LinearDrag
 from jaxrb.effects.gravity import UniformGravity
 from jaxrb.effects.rigid_contact import RigidContact
@@ -98,7 +99,7 @@ def _kilobytes(name: str) -> int:
 
 
 def _world(workload: Workload) -> tuple[Scene, State]:
-    random = np.random.default_rng(0)
+    random = drawn(0)
     body = Body.from_shape(Box((0.1, 0.2, 0.3)), 500.0)
     gravity = UniformGravity((0.0, 0.0, -9.81))
     other = RigidContact(HalfSpace(), friction=0.5) if workload.contact else LinearDrag(0.1, 0.01)

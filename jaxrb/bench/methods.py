@@ -19,6 +19,7 @@ from jaxrb.accuracy.timing import cpu_of_first
 from jaxrb.bench.timing import both_clocks
 from jaxrb.body.body import Body, replicate
 from jaxrb.body.state import State
+from jaxrb.draws import drawn
 from jaxrb.integrators.method import Method
 from jaxrb.integrators.names import METHODS
 from jaxrb.math.matrix import RotationMatrix
@@ -57,7 +58,7 @@ def long_run(
     dt: float = 0.02,
 ) -> LongRun:
     """Free bodies that turn at 1 rad/s, one of them next to its unstable axis, over `steps` steps of `dt` [s]."""
-    spin = np.random.default_rng(0).normal(size=(FREE_BODIES, 3))
+    spin = drawn(0).normal(size=(FREE_BODIES, 3))
     spin[0] = (1e-3, 1.0, 1e-3)
     spin /= np.linalg.norm(spin, axis=1, keepdims=True)
     scene = Scene(replicate(Body(1.0, inertia), FREE_BODIES))
@@ -83,7 +84,7 @@ def long_run(
 
 def cost(method: Method, scene: Scene, rotation: type[Rotation] = Quaternion) -> tuple[float, float]:
     """ns a body-step of 1000 copies of a scene's body under its effects, and CPU seconds to trace and compile."""
-    random = np.random.default_rng(0)
+    random = drawn(0)
     crowd = Scene(replicate(scene.bodies[0], BODIES), scene.effects)
     state = crowd.state(angular_velocity=random.normal(size=(BODIES, 3)).tolist(), rotation=rotation)
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxrb.body.body import Body, replicate
 from jaxrb.body.state import State
+from jaxrb.draws import drawn
 from jaxrb.integrators.midpoint import ImplicitMidpoint
 from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.integrators.three_axis_splitting import ThreeAxisSplitting4
@@ -40,7 +41,7 @@ def cpu_median(run: Callable[[], Any], repeats: int = 7) -> tuple[float, float]:
 
 def free_bodies(inertia: Any, rotation: type[Rotation], renormalise: bool, dtype: Any) -> tuple[float, float]:
     """RK4 of 1000 bodies in one scene: ns a body-step, and compile seconds."""
-    random = np.random.default_rng(0)
+    random = drawn(0)
     scene = Scene(replicate(Body(1.0, inertia), BODIES))
     state = scene.state(
         *(random.normal(size=(BODIES, 3)).astype(dtype) if k != 1 else None for k in range(4)),
@@ -54,7 +55,7 @@ def free_bodies(inertia: Any, rotation: type[Rotation], renormalise: bool, dtype
 
 def worlds(dtype: Any) -> tuple[float, float]:
     """RK4 of 1000 worlds of one body under the user's own `jax.vmap`: ns a body-step, and compile seconds."""
-    random = np.random.default_rng(0)
+    random = drawn(0)
     scene = Scene(Body(1.0, (1.0, 2.0, 2.5)))
 
     def start(omega: Any) -> State:
@@ -74,7 +75,7 @@ def gradient(
     steps: int = 10_000,
 ) -> dict[str, float]:
     """Reverse mode through 1e4 steps with respect to all masses and inertias: time against forward, and memory."""
-    random = np.random.default_rng(0)
+    random = drawn(0)
     scene = Scene(replicate(Body(1.0, (1.0, 2.0, 2.5)), bodies))
     state = scene.state(angular_velocity=random.normal(size=(bodies, 3)))
 

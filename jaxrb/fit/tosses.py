@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxrb.body.body import Body
 from jaxrb.body.inertia import FullInertia
+from jaxrb.draws import drawn
 from jaxrb.effects.compliant_contact import CompliantContact
 from jaxrb.effects.gravity import UniformGravity
 from jaxrb.effects.rigid_contact import RigidContact
@@ -126,7 +127,7 @@ def fit_tosses(
         raise InvalidInput(
             f"fit_tosses: {len(search)} numbers to look for, {rounds} rounds of {samples}; give at least 1, 1 and 2."
         )
-    random, names = np.random.default_rng(seed), tuple(search)
+    random, names = drawn(seed), tuple(search)
     middle, first, least, most = np.array([search[name] for name in names], float).T
     width = first
     tried: list[tuple[float, np.ndarray, np.ndarray]] = []

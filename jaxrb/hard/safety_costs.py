@@ -19,6 +19,7 @@ from jax import lax
 from jaxrb.body.body import Body, replicate
 from jaxrb.body.state import State
 from jaxrb.compilation import compiler_options
+from jaxrb.draws import drawn
 from jaxrb.integrators.method import Method
 from jaxrb.integrators.runge_kutta import RungeKutta4
 from jaxrb.integrators.semi_implicit import SemiImplicitEuler
@@ -36,7 +37,7 @@ Start = tuple[Scene, State, Method, int]
 
 def free_bodies(count: int, method: Method, steps: int) -> Start:
     """Free bodies with principal inertia, each with a spin of its own."""
-    spin = np.random.default_rng(0).normal(size=(count, 3))
+    spin = drawn(0).normal(size=(count, 3))
     scene = Scene(replicate(Body(1.0, (1.0, 2.0, 2.5)), count))
     return scene, scene.state(angular_velocity=spin.tolist()), method, steps
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxrb.body.body import Body, replicate
 from jaxrb.body.state import State
+from jaxrb.draws import drawn
 from jaxrb.effects.gravity import UniformGravity
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.geometry.primitives import Box, HalfSpace
@@ -25,7 +26,7 @@ _NAME = "stack of twenty"
 
 def places() -> list[tuple[float, float, float]]:
     """Of the boxes [m]: each up to 1 cm off the middle."""
-    off = np.random.default_rng(0).uniform(-0.01, 0.01, (COUNT, 2))
+    off = drawn(0).uniform(-0.01, 0.01, (COUNT, 2))
     return [(x, y, HALF * (2 * i + 1)) for i, (x, y) in enumerate(off.tolist())]
 
 

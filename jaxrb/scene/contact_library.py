@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrb.body.body import Body, replicate
+from jaxrb.draws import drawn
 from jaxrb.effects.custom import CustomForce
 from jaxrb.effects.effect import Wrench
 from jaxrb.effects.gravity import UniformGravity
@@ -118,7 +119,7 @@ def domino_row(count: int = 20) -> Example:
 def stack_of_10() -> Example:
     """Ten boxes on each other, each up to 1 cm off the middle: they must stand."""
     box = Body.from_shape(Box((0.05, 0.05, 0.05)), density=700.0)
-    off = np.random.default_rng(0).uniform(-0.01, 0.01, (10, 2))
+    off = drawn(0).uniform(-0.01, 0.01, (10, 2))
     start = {"position": [(x, y, 0.05 + 0.1 * i) for i, (x, y) in enumerate(off.tolist())]}
     effects = (GRAVITY, RigidContact(HalfSpace(), friction=0.5), RigidContact(friction=0.5))
     return Example("stack_of_10", "stack of ten boxes", Scene(replicate(box, 10), effects), start, 2.0, 5e-3)
@@ -150,7 +151,7 @@ def _alternate(count: int, shift: int) -> tuple[int, ...]:
 
 def pile_of_64() -> Example:
     """Boxes of different edges, turned at random, dropped in a heap."""
-    random = np.random.default_rng(0)
+    random = drawn(0)
     bodies = tuple(Body.from_shape(Box(half), density=500.0) for half in random.uniform(0.03, 0.08, (64, 3)))
     cells = np.array([(i, j, k) for k in range(4) for j in range(4) for i in range(4)], float)
     position = 0.22 * cells + [-0.33, -0.33, 0.2] + random.uniform(-0.02, 0.02, (64, 3))
@@ -168,7 +169,7 @@ def spheres_216(elastic: bool = False, seed: int = 0, capacity: int | None = Non
 
     (J. Hwangbo, J. Lee, SimBenchmark "666", leggedrobotics 2018; the jitter of the places is not theirs.)
     """
-    random = np.random.default_rng(seed)
+    random = drawn(seed)
     cells = np.array([(i, j, k) for k in range(6) for j in range(6) for i in range(6)], float)
     jitter = np.append(random.uniform(-1e-3, 1e-3, (216, 2)), random.uniform(0.0, 1e-3, (216, 1)), axis=1)
     position = 0.21 * cells + [0.0, 0.0, 1.101 if elastic else 0.101] + jitter
@@ -187,7 +188,7 @@ def spheres_216(elastic: bool = False, seed: int = 0, capacity: int | None = Non
 def sphere_box(count: int = 1000, friction: float | None = 0.3, seed: int = 0) -> Example:
     """Balls of 10 cm, a little apart, that fall into a heap in an open box as wide as they are high."""
     radius, side = 0.05, math.ceil(count ** (1 / 3))
-    random, apart = np.random.default_rng(seed), 2.1 * 0.05
+    random, apart = drawn(seed), 2.1 * 0.05
     cells = np.array([(i, j, k) for k in range(side) for j in range(side) for i in range(side)], float)[
         :count
     ]

@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxrb.body.body import Body
 from jaxrb.body.state import State
+from jaxrb.draws import drawn
 from jaxrb.effects.drag import QuadraticDrag
 from jaxrb.effects.fixed_point import FixedPoint
 from jaxrb.effects.gravity import UniformGravity
@@ -107,7 +108,7 @@ def _gazebo_box() -> Body:
 
 def free_boxes(count: int = 9) -> Example:
     """Wooden boxes of different edges, each with a spin of its own; nothing acts."""
-    random = np.random.default_rng(0)
+    random = drawn(0)
     half = random.uniform(0.1, 0.4, (count, 3))
     bodies = tuple(Body.from_shape(Box(edges), density=600.0) for edges in half)
     start = {
