@@ -50,20 +50,21 @@ POINT_HEADINGS = {
 
 
 def demo(output: pathlib.Path, bar: bool) -> dict[str, Any]:
-    """Run everything; write the pictures to `output`; return the tables as plain data."""
+    """Run everything, draw each picture into `output` as soon as it is known, and return the tables as plain data."""
     output.mkdir(parents=True, exist_ok=True)
-    stages = tqdm(total=4, disable=not bar, leave=False, bar_format="{desc:40s} {bar} {n_fmt}/{total_fmt}")
+    stages = tqdm(total=3, disable=not bar, leave=False, bar_format="{desc:40s} {bar} {n_fmt}/{total_fmt}")
     stages.set_description("free boxes")
     runs = _drift_runs()
+    pictures = _drift_pictures(output, runs)
     stages.update()
     stages.set_description("accuracy against time")
     points = _points()
+    pictures.append(
+        figures.save(figures.work_precision_figure(points, 100), output / "accuracy_and_time.png")
+    )
     stages.update()
     stages.set_description("inertia from a recording")
     recording, fitted = _fit()
-    stages.update()
-    stages.set_description("pictures")
-    pictures = _pictures(output, runs, points)
     toss = figures.spin_figure(*_toss(recording, fitted), "first toss of the bundled recording")
     pictures.append(figures.save(toss, output / "fit.png"))
     stages.update()
@@ -122,16 +123,15 @@ def _toss(recording: Any, fitted: Any) -> tuple[Any, Any, Any]:
     return time, measured, np.asarray(path.states.angular_velocity[:, 0])
 
 
-def _pictures(output: pathlib.Path, runs: Sequence[DriftRun], points: Sequence[Point]) -> list[Any]:
+def _drift_pictures(output: pathlib.Path, runs: Sequence[DriftRun]) -> list[Any]:
     torqued = [run for run in runs if run.with_torque and run.method == "ExplicitEuler"]
     half = free_boxes().half_extents
-    drawn = [run for run in torqued if run.representation == "rotation matrix"] + [
+    pictured = [run for run in torqued if run.representation == "rotation matrix"] + [
         run for run in torqued if run.representation == "quaternion" and run.renormalised
     ]
     return [
-        figures.save(figures.boxes_figure(half, drawn, (0, 10, 20, 50)), output / "boxes.png"),
+        figures.save(figures.boxes_figure(half, pictured, (0, 10, 20, 50)), output / "boxes.png"),
         figures.save(figures.drift_figure(torqued), output / "drift.png"),
-        figures.save(figures.work_precision_figure(points, 100), output / "accuracy_and_time.png"),
     ]
 
 
