@@ -13,6 +13,8 @@ from jaxrb.contact.problem import Problem
 from jaxrb.contact.solution import POOR, Solution, passive_share, speed_to_take
 from jaxrb.math.arrays import Vector
 
+_GOOD = 0.1 * POOR
+
 
 def solve_contacts(problem: Problem, start: Vector) -> Solution:
     """The motion and impulses of one world, from impulses (k, s, 3) that may be near."""
@@ -24,8 +26,9 @@ def solve_contacts(problem: Problem, start: Vector) -> Solution:
     near, error, rounds, done = projected_gradient(problem, impulse, taken, asked)
     unknown = jnp.where(done, 0.0, jnp.inf)
     impulse, residual, steps, products = newton(problem, near, taken, enough, unknown)
-    # In float32 Newton's equations may be worse than where the rounds ended.
-    kept = done | (error <= residual)
+    # In float32 Newton's equations may be worse than where the rounds ended. But what these leave pushes a whole stack
+    # one way, and what Newton leaves is noise: of twenty boxes the upper ones stray 15 times as far by the former.
+    kept = done | (error <= jnp.minimum(residual, _GOOD * taken))
     impulse, residual = jnp.where(kept, near, impulse), jnp.where(kept, error, residual)
     poor = residual > jnp.maximum(POOR * taken, enough)
     impulse = jnp.where(poor, passive_share(problem, impulse), 1.0) * impulse
