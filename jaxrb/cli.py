@@ -52,6 +52,7 @@ def bench(
         "identification",
         "joints",
         "memory",
+        "ratios",
     ] = "speed",
     planner: bool = False,
     json: bool = False,
@@ -70,7 +71,8 @@ def bench(
             its effects; bounding volumes, the hierarchy of boxes and the broad phase; distances and depths of pairs
             of shapes; boxes falling on a floor and on each other, beside MuJoCo; 100 to 10,000 balls in a box; inertia
             from a gyroscope beside the Cramér–Rao bound and MuJoCo; joints against closed forms and published
-            mechanisms; what `rb.memory` says beside what runs take.
+            mechanisms; what `rb.memory` says beside what runs take; ratios: jaxrb's time over that of each peer in five
+            rounds, beside the goal, also where it is missed.
         planner: instead, the time of the planner's picks over the best that a fine search finds, on a grid of scenes
             and tolerances (some minutes).
         json: print one JSON object instead of a table.

@@ -2,6 +2,7 @@
 
 import importlib
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import jax
@@ -18,11 +19,20 @@ from jaxrb.math import Quaternion
 
 PAIRS = 4096
 CORNERS = (8, 16, 32, 64)
-_PEER_PAIRS = 512
+PEER_PAIRS = 512
+BOXES = "box – box"
 
 
 def rows() -> Iterator[dict[str, Any]]:
     """One row for each kind of pair and state: microseconds of CPU time a pair, seconds of the first call."""
+    for pair, state, shapes, poses, peer in pairs():
+        yield _row(pair, state, shapes, poses, peer)
+        if pair == BOXES:
+            yield _axes_row(state, shapes, poses)
+
+
+def pairs() -> Iterator[tuple[str, str, Any, Any, Callable[[], Any] | None]]:
+    """Kind and state, shapes and poses of `PAIRS` pairs, and coal's answer to the first `PEER_PAIRS` of them."""
     generator = drawn(0)
     dtype = jnp.result_type(float)
     half = generator.uniform(0.3, 1.0, size=(2, PAIRS, 3))
@@ -30,8 +40,7 @@ def rows() -> Iterator[dict[str, Any]]:
         shapes = [Box(jnp.asarray(h, dtype)) for h in half]
         poses = _places(generator, reach, dtype)
         peer = _coal(lambda coal: [[coal.Box(*(2 * h)) for h in side] for side in half], poses)
-        yield _row("box – box", state, shapes, poses, peer)
-        yield _axes_row(state, shapes, poses)
+        yield BOXES, state, shapes, poses, peer
     for corners in CORNERS:
         points = _on_sphere(generator, (2, 64, corners))
         hulls = [stack_hulls([ConvexHull(p) for p in side]) for side in points]
@@ -41,7 +50,7 @@ def rows() -> Iterator[dict[str, Any]]:
         for state, reach in (("apart", 2.3), ("overlapping", 0.6)):
             poses = _places(generator, reach, dtype)
             peer = _coal(lambda coal, points=points: [_coal_hulls(coal, side) for side in points], poses)
-            yield _row(f"hulls of {corners}", state, shapes, poses, peer)
+            yield f"hulls of {corners}", state, shapes, poses, peer
 
 
 def _axes_row(state: str, shapes: Any, poses: Any) -> dict[str, Any]:
@@ -62,23 +71,27 @@ def _axes_row(state: str, shapes: Any, poses: Any) -> dict[str, Any]:
     }
 
 
-def _row(pair: str, state: str, shapes: Any, poses: Any, peer: Callable[[], Any] | None) -> dict[str, Any]:
+def jobs_of(shapes: Any, poses: Any) -> tuple[Callable[[], Any], Callable[[], Any]]:
+    """All pairs' contacts, and their distances with the gradient by the place of a."""
     run = jax.jit(jax.vmap(separation))
-    arguments = (shapes[0], poses[0], shapes[1], poses[1])
-    first = cpu_of_first(lambda: run(*arguments))
     slope = jax.jit(jax.vmap(jax.value_and_grad(lambda p, *rest: _distance(p, *rest))))
     moved = (poses[0].position, poses[0].orientation, shapes[0], shapes[1], poses[1])
-    runs: list[Callable[[], Any]] = [lambda: run(*arguments), lambda: slope(*moved)]
-    seconds = interleaved([*runs, peer] if peer else runs, rounds=5)
+    return partial(run, shapes[0], poses[0], shapes[1], poses[1]), partial(slope, *moved)
+
+
+def _row(pair: str, state: str, shapes: Any, poses: Any, peer: Callable[[], Any] | None) -> dict[str, Any]:
+    run, slope = jobs_of(shapes, poses)
+    first = cpu_of_first(run)
+    seconds = interleaved([run, slope, peer] if peer else [run, slope], rounds=5)
     row = {
         "pair": pair,
         "state": state,
         "µs a pair": seconds[0] / PAIRS * 1e6,
         "with gradient, ratio": seconds[1] / seconds[0],
         "first call [CPU s]": first,
-        "overlapping": float(jnp.mean(run(*arguments).distance < 0)),
+        "overlapping": float(jnp.mean(run().distance < 0)),
     }
-    return row | {"coal [µs]": seconds[2] / _PEER_PAIRS * 1e6 if peer else None}
+    return row | {"coal [µs]": seconds[2] / PEER_PAIRS * 1e6 if peer else None}
 
 
 def _distance(position: Any, orientation: Any, shape_a: Any, shape_b: Any, pose_b: Any) -> Any:
@@ -115,11 +128,11 @@ def _coal(built: Callable[[Any], Any], poses: tuple[Pose, Pose]) -> Callable[[],
     shapes = built(coal)
     matrices = [np.asarray(pose.orientation.as_matrix(), float) for pose in poses]
     positions = [np.asarray(pose.position, float) for pose in poses]
-    places = [[coal.Transform3s(m[i], p[i]) for i in range(_PEER_PAIRS)] for m, p in zip(matrices, positions)]
+    places = [[coal.Transform3s(m[i], p[i]) for i in range(PEER_PAIRS)] for m, p in zip(matrices, positions)]
     request = coal.DistanceRequest()
 
     def run() -> Any:
-        for i in range(_PEER_PAIRS):
+        for i in range(PEER_PAIRS):
             one, other = (side[i % len(side)] for side in shapes)
             result = coal.DistanceResult()
             coal.distance(one, places[0][i], other, places[1][i], request, result)

@@ -5,7 +5,7 @@ the speed, since a soft contact is cheaper than a hard one.
 """
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -31,17 +31,32 @@ def rows() -> Iterator[dict[str, Any]]:
         yield _row(boxes, worlds, steps)
 
 
-def _row(boxes: int, worlds: int, steps: int) -> dict[str, Any]:
+def jobs_of(
+    boxes: int, worlds: int, steps: int
+) -> tuple[Scene, Any, Callable[[], Any], Callable[[], Any] | None]:
+    """The scene, the worlds' states, a run of all of them, and the same in MuJoCo where it is installed."""
     places = [_world(boxes, seed) for seed in range(worlds)]
     scene, states = _scene(boxes, places)
     run = jax.jit(jax.vmap(functools.partial(_run, scene, steps)))
-    first = cpu_of_first(lambda: run(states))
-    jobs = [lambda: run(states)]
     peer = _mujoco_job(boxes, places, steps) if mujoco_version() else None
-    if peer:
-        jobs.append(peer)
-    seconds = interleaved(jobs, rounds=3)
-    path = run(states)
+    return scene, states, functools.partial(run, states), peer
+
+
+def gradient_jobs(scene: Scene, states: Any, steps: int) -> tuple[Callable[[], Any], Callable[[], Any]]:
+    """Where each world's box ends, and the gradient of that by all numbers of its start."""
+
+    def end(state: Any) -> Any:
+        return _run(scene, steps, state).final.position.sum()
+
+    plain, slope = (jax.jit(jax.vmap(function)) for function in (end, jax.grad(end)))
+    return functools.partial(plain, states), functools.partial(slope, states)
+
+
+def _row(boxes: int, worlds: int, steps: int) -> dict[str, Any]:
+    scene, states, run, peer = jobs_of(boxes, worlds, steps)
+    first = cpu_of_first(run)
+    seconds = interleaved([run, peer] if peer else [run], rounds=3)
+    path = run()
     total = boxes * worlds * steps
     row = {
         "boxes": boxes,
@@ -70,15 +85,10 @@ def _row(boxes: int, worlds: int, steps: int) -> dict[str, Any]:
 
 
 def _gradient(scene: Scene, states: Any, steps: int) -> dict[str, float]:
-    """Of where each world's box ends, by all numbers of its start: time over that of the run, and CPU time to begin."""
-
-    def end(state: Any) -> Any:
-        return _run(scene, steps, state).final.position.sum()
-
-    plain, slope = (jax.jit(jax.vmap(function)) for function in (end, jax.grad(end)))
-    first = cpu_of_first(lambda: slope(states))
-    plain(states)
-    seconds = interleaved([lambda: plain(states), lambda: slope(states)], rounds=3)
+    """Time over that of the run, and CPU time to begin."""
+    plain, slope = gradient_jobs(scene, states, steps)
+    first = cpu_of_first(slope)
+    seconds = interleaved([plain, slope], rounds=3)
     return {"gradient/run": seconds[1] / seconds[0], "its first call [CPU s]": first}
 
 

@@ -18,6 +18,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxrb.accuracy.timing import clock
 from jaxrb.body.body import Body, replicate
 from jaxrb.draws import drawn
 from jaxrb.effects.gravity import UniformGravity
@@ -61,8 +62,6 @@ def measured(case: Case, rounds: int) -> Iterator[dict[str, Any]]:
     runs, room = zip(*(case.prepared(size) for size in case.sizes), strict=True)
     for run in runs:
         jax.block_until_ready(run())
-    # An accelerator's time is not this process's.
-    clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
     seconds = np.empty((rounds, len(runs)))
     for i in range(rounds):
         for j, run in enumerate(runs):

@@ -9,8 +9,9 @@ coordinates normal with 0.8 on the diagonal and 0.5 off it) that end at the opti
     jaxrb bench --what identification
 """
 
+import functools
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -109,14 +110,14 @@ def noisy_batch(
     return jnp.asarray(noisy[:, None, index]), jnp.asarray(noisy[:, None, None])
 
 
-def _program() -> Any:
+def fit_program() -> Any:
     return jax.jit(fit_batch, compiler_options=compiler_options())
 
 
 def rows() -> Iterator[dict[str, Any]]:
     """One row a noise level and motion, then the comparison with MuJoCo's least squares."""
     with jax.enable_x64(True):
-        program = _program()
+        program = fit_program()
         for motion, direction in DIRECTIONS.items():
             times, spin = flight(direction)
             for noise in NOISES:
@@ -213,6 +214,16 @@ def _covariances(shared: Any, exact: FlightData) -> np.ndarray:
     return np.array([j @ c @ j.T for j, c in zip(outside, inside)])
 
 
+def fits_beside(program: Any, peer: Callable) -> tuple[Callable[[], Any], Callable[[], Any]]:
+    """One fit of a noisy flight from a sphere, and the same by a peer."""
+    times, spin = flight(DIRECTIONS["generic"])
+    noise = 1e-2
+    data = packed(times, spin, noise)
+    measured = noisy_batch(spin, noise, 1, data[0], True)
+    own = functools.partial(program, jnp.zeros((1, 5)), *measured, *data)
+    return own, functools.partial(peer, times, np.asarray(measured[1])[0, 0, 0])
+
+
 def beside_mujoco(program: Any) -> Iterator[dict[str, Any]]:
     """The same flight by MuJoCo: `mujoco.minimize.least_squares` with differences, which `mujoco.sysid` runs."""
     try:
@@ -220,13 +231,10 @@ def beside_mujoco(program: Any) -> Iterator[dict[str, Any]]:
     except ImportError:
         yield {"what": "MuJoCo is not installed (extra [bench])"}
         return
-    times, spin = flight(DIRECTIONS["generic"])
-    noise = 1e-2
-    data, truth = packed(times, spin, noise), np.array([*RATIOS, 0.0, 0.0, 0.0])
-    measured = noisy_batch(spin, noise, 1, data[0], True)
-    start = jnp.zeros((1, 5))
-    found, iterations = program(start, *measured, *data)
-    cpu, _ = both_clocks(lambda: program(start, *measured, *data)[0].cost)
+    mine, theirs = fits_beside(program, mujoco_fit)
+    truth = np.array([*RATIOS, 0.0, 0.0, 0.0])
+    found, iterations = mine()
+    cpu, _ = both_clocks(lambda: mine()[0].cost)
     yield {
         "what": "jaxrb, one fit from a sphere",
         "iterations": float(iterations[0]),
@@ -234,7 +242,7 @@ def beside_mujoco(program: Any) -> Iterator[dict[str, Any]]:
         "error": float(np.linalg.norm(_six(np.asarray(found.shared)[0]) - truth)),
     }
     began = time.process_time()
-    six, count = mujoco_fit(times, np.asarray(measured[1])[0, 0, 0])
+    six, count = theirs()
     peer = time.process_time() - began
     yield {
         "what": "MuJoCo least squares by differences, from a sphere",

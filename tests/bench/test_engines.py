@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxrb.bench import engines, growth
+from jaxrb.bench import engines, growth, ratios
 
 pytestmark = pytest.mark.skipif(
     not jax.config.read("jax_enable_x64"), reason="processes of their own: run once, with the float64 suite"
@@ -63,3 +63,13 @@ def test_a_case_runs_and_says_its_memory():
     assert math.isfinite(many["exponent"])
     assert many["from"] <= many["exponent"] <= many["to"]
     assert many["memory [MB]"] >= 1e-6 * 16 * 13 * 8  # the states that it is given
+
+
+def test_ratios_are_judged_by_their_median_and_missing_peers_are_named():
+    kept, missed = (
+        ratios._kept("a run", "a peer", [0.4, 0.5, 3.0], 0.5),
+        ratios._kept("a run", "it", [0.6], 0.5),
+    )
+    assert (kept["time over its"], kept["least"], kept["most"], kept["verdict"]) == (0.5, 0.4, 3.0, "kept")
+    assert missed["verdict"] == "missed"
+    assert ratios._missing("a run", "a peer", "not installed").keys() == kept.keys()
