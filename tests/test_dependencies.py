@@ -6,11 +6,14 @@ import pathlib
 import re
 import sys
 import tomllib
+import zlib
 
 import jax
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+import jaxrb
 
 pytestmark = pytest.mark.skipif(
     not jax.config.read("jax_enable_x64"), reason="no number of jaxrb's: once is enough"
@@ -118,3 +121,31 @@ def test_what_is_imported_is_a_dependency_by_name(place):
                 names = [node.module]
             for name in {name.split(".")[0] for name in names} - set(sys.stdlib_module_names) - {"jaxrb"}:
                 assert canonicalize_name(OTHERWISE_NAMED.get(name, name)) in declared, (file, name)
+
+
+def brought(names):
+    """Distributions that an installation of these brings, by name, without extras."""
+    found, waiting = {}, list(names)
+    while waiting:
+        name = canonicalize_name(waiting.pop())
+        if name in found:
+            continue
+        found[name] = importlib.metadata.distribution(name)
+        asked = [Requirement(line) for line in found[name].requires or []]
+        waiting += [r.name for r in asked if r.marker is None or r.marker.evaluate({"extra": ""})]
+    return found
+
+
+def test_what_the_core_adds_to_jax_diffrax_and_optax_is_small():
+    """As wheels compress it, in bytes: what a user downloads. Installed it is three times as much."""
+    added = {k: v for k, v in brought(["jaxrb"]).items() if k not in brought(["jax", "diffrax", "optax"])}
+    assert set(added) <= {"jaxrb", "tyro", "tqdm", "typeguard", "docstring-parser", "colorama"}
+    package = pathlib.Path(jaxrb.__file__).parent
+    files = [file for file in package.rglob("*") if file.is_file()]
+    for name, distribution in added.items():
+        if name != "jaxrb":  # which may be installed as a link
+            files += [pathlib.Path(str(file.locate())) for file in distribution.files or []]
+    kept = [file for file in files if file.is_file() and file.suffix != ".pyc"]
+    size = sum(len(zlib.compress(file.read_bytes())) for file in kept)
+    print(f"the core adds {size / 1e6:.2f} MB in {len(added)} distributions")
+    assert 0.5e6 < size < 3e6
