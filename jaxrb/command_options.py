@@ -65,7 +65,7 @@ def with_common(command: Callable) -> Callable:
     last = inspect.Parameter("common", inspect.Parameter.KEYWORD_ONLY, annotation=shown, default=Common())
     wrapped.__signature__ = signature.replace(parameters=[*own, last])  # type: ignore[attr-defined]
     wrapped.__annotations__ = {**command.__annotations__, "common": shown}
-    wrapped.__doc__, wrapped.__name__ = command.__doc__, command.__name__
+    wrapped.__doc__ = command.__doc__
     return wrapped
 
 
