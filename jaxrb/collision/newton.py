@@ -137,24 +137,32 @@ def _where_both_meet(
 
 
 def best_of_many(
-    supports: tuple[Support, Support], directions: Any, known: Any, scale: Any, turns: int = 8
+    supports: tuple[Support, Support], directions: Any, known: Any, scale: Any, count: int, turns: int = 8
 ) -> tuple[Any, Any]:
-    """The best direction (3, L) and overlap (L,) from several starts: the `known` ones (k, 3, L) and, of all
-    `directions` (m, 3, L), the four with the smallest overlap that are not close to each other.
+    """The best `count` directions (count, 3, L) and their overlaps (count, L), the best first, from several starts: the
+    `known` ones (k, 3, L) and, of all `directions` (m, 3, L), the four with the smallest overlap. None of these are
+    close to each other; where there are no more the last stands for the rest.
     """
 
     def value(normal: Any) -> Any:
         return dot(normal, supports[0](normal)[0]) - dot(normal, supports[1](-normal)[0])
 
-    grid = directions
-    values = jax.vmap(value)(grid)
-    starts = [*known]
-    for _ in range(4):
-        best = row(grid, first_of(values <= values.min(axis=0)))
-        starts.append(best)
-        close = grid[:, 0] * best[0] + grid[:, 1] * best[1] + grid[:, 2] * best[2] > 0.8
-        values = jnp.where(close, jnp.inf, values)
-    starts = jnp.stack(starts)
+    starts = jnp.stack([*known, *_apart(directions, jax.vmap(value)(directions), 4, 0.9)[0]])
     normals, depths = jax.vmap(lambda n: newton(supports, n, value(n), scale, turns))(starts)
-    chosen = first_of(depths <= depths.min(axis=0))
-    return row(normals, chosen), row(depths, chosen)
+    normals, depths = _apart(normals, depths, count, 0.995)
+    return jnp.stack(normals), jnp.stack(depths)
+
+
+def _apart(directions: Any, values: Any, count: int, cosine: float) -> tuple[list[Any], list[Any]]:
+    """Of directions (m, 3, L) those `count` with the smallest values (m, L), each farther from those before than the
+    angle of this cosine."""
+    found, least = [], []
+    for _ in range(count):
+        smallest = values.min(axis=0)
+        there = smallest < jnp.inf
+        which = row(directions, first_of(values <= smallest))
+        found.append(jnp.where(there, which, found[-1]) if found else which)
+        least.append(jnp.where(there, smallest, least[-1]) if least else smallest)
+        near = (directions * found[-1]).sum(axis=1) > cosine
+        values = jnp.where(near, jnp.inf, values)
+    return found, least
