@@ -1,9 +1,9 @@
 """Worlds laid over several devices and processes: the same bits as on one."""
 
 import os
-import socket
 import subprocess
 import sys
+import tempfile
 import time
 
 import jax
@@ -85,18 +85,17 @@ def test_eight_devices_give_the_bits_of_one_and_say_what_they_add():
     assert "9 worlds of one structure over 8 devices: 7 copies" in out
 
 
-def address():
-    """One that is free, on this machine alone."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"127.0.0.1:{free.getsockname()[1]}"
+@pytest.fixture
+def addresses():
+    """Sockets in the file system, nobody else's: a port seen free may be another's a moment later, which happened."""
+    with tempfile.TemporaryDirectory() as place:  # a short path: a socket's is 107 characters at most
+        yield [f"unix:{place}/{number}" for number in range(2)]
 
 
-def test_a_killed_process_ends_the_other_soon_and_says_how_to_go_on():
+def test_a_killed_process_ends_the_other_soon_and_says_how_to_go_on(addresses):
     """Killed: the second, and the first, in which JAX's service runs."""
     pairs = []
-    for lost in (1, 0):
-        where = address()
+    for lost, where in zip((1, 0), addresses, strict=True):
         pairs.append((lost, [start(_LONG, str(number), where) for number in range(2)]))
     try:
         for _, both in pairs:
@@ -120,9 +119,8 @@ def test_a_killed_process_ends_the_other_soon_and_says_how_to_go_on():
                 process.communicate()
 
 
-def test_two_processes_give_the_bits_of_one_and_must_agree_on_the_worlds():
-    where = address()
-    both = [start(_PROCESSES, str(number), where) for number in range(2)]
+def test_two_processes_give_the_bits_of_one_and_must_agree_on_the_worlds(addresses):
+    both = [start(_PROCESSES, str(number), addresses[0]) for number in range(2)]
     for process in both:
         lines = [line for line in ended(process).splitlines() if not line.startswith("[Gloo]")]
         assert lines[0] == "2 True"
