@@ -40,7 +40,7 @@ class Columns(NamedTuple):
     def moved(self, impulse: Any) -> Array:
         """The motion (6, n) with impulses, three columns (s, k)."""
         given = self.on_bodies(impulse)
-        if self.problem.joints is not None:
+        if self.problem.joints is not None or self.problem.allowed is not None:
             return self.problem.free.T + self.problem.response(given.T).T
         answer = _response(_masses(self.problem), given)
         return self.problem.free.T + jnp.stack(answer)

@@ -91,7 +91,7 @@ def _tangents(numbers: Problem, change: Problem, rest: Any, found: Solution) -> 
     def unbalanced(numbers: Problem) -> Array:
         own = eqx.combine(numbers, rest)
         given = impulses(numbers, found.motion)
-        missing = own.momentum(found.motion - own.free) - own.contacts.impulse_on_bodies(given)
+        missing = own.momentum(found.motion - own.free) - own.on_bodies(given)
         return missing.ravel() if joined is None else joined.unbalanced_joints(own, found, missing, size)
 
     _, excess = jax.jvp(unbalanced, (numbers,), (change,))
@@ -153,7 +153,7 @@ def _matrix(problem: Problem, slopes: Array) -> Array:
     return jax.vmap(
         lambda direction: (
             problem.momentum(direction)
-            + problem.contacts.impulse_on_bodies(
+            + problem.on_bodies(
                 jnp.einsum("ksij,ksj->ksi", slopes, problem.contacts.relative_velocity(direction))
             )
         ).ravel(),

@@ -133,6 +133,7 @@ def _one_by_one(
         own(problem.inverse_inertia),
         own(problem.free),
         jnp.broadcast_to(problem.tolerance, len(bodies)),
+        allowed=None if problem.allowed is None else own(problem.allowed),
     )
     return alone, start[blocks]
 

@@ -123,7 +123,7 @@ class _Given(NamedTuple):
             wanted = problem.wanted(held, self.velocity, self.stiffness)
             impulse = problem.projected(wanted, problem.bound(held))
             gap = problem.momentum(self.motion - problem.free) - problem.contacts.impulse_on_bodies(impulse)
-            gap = problem.borne(gap)  # of what joints bear only round-off would be seen below
+            gap = problem.borne(gap)  # of what is held, or joints bear, only round-off would be seen below
             # As velocities of the points: impulses that share a load in another way move nothing.
             change = problem.felt(problem.contacts.impulse_on_bodies(impulse - held))
             off = problem.felt(gap)
@@ -191,9 +191,9 @@ def _newton_direction(problem: Problem, bend: Array, right: Array, tolerance: Sc
 
     def apply(direction: Array) -> Array:
         pull = jnp.sum(bend * c.relative_velocity(direction)[:, :, None, :], axis=-1)
-        return problem.momentum(direction) + c.impulse_on_bodies(pull)
+        return problem.momentum(direction) + problem.on_bodies(pull)
 
-    inverse = inverted(problem.mass_matrix() + c.blocks(bend))
+    inverse = inverted(problem.blocks(bend))
     if problem.joints is not None:
         # Among motions that open no joint: these are kept by the blocks, once a residual is rid of the joints' part.
         joints = problem.joints.against(inverse)

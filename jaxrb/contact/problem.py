@@ -5,8 +5,10 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
+from jaxrb.body.state import State
 from jaxrb.contact.block import Contacts
 from jaxrb.contact.law import predicted, projected
+from jaxrb.contact.linear import multiplied
 from jaxrb.math.arrays import Array, Scalar, Vector, components, stack
 from jaxrb.math.matrix import RotationMatrix
 from jaxrb.math.rotation import Rotation
@@ -19,7 +21,8 @@ class Problem(eqx.Module):
     `mass` (n,), `inertia` (n, 3, 3) about the centre in W, and their inverses; `free` (n, 6) the motion without
     contact; `bias` (k, s) [m/s] the least normal velocity of each point; `tolerance` [1] of the answer, relative to the
     largest velocity that contact takes away. With `joints` M⁻¹ is that of bodies that hang together, and u changes only
-    as the joints let it.
+    as the joints let it. Of bodies that are not free `allowed` (n, 6, 6) projects on what they can do; only that is in
+    the inverses.
     """
 
     contacts: Contacts
@@ -31,6 +34,7 @@ class Problem(eqx.Module):
     free: Array
     tolerance: Scalar
     joints: Any = None  # `JointReactions`, which only scenes with joints load
+    allowed: Any = None  # `contact/held.py`; None where every body is free
 
     def momentum(self, motion: Array) -> Array:
         """M u (n, 6)."""
@@ -41,8 +45,24 @@ class Problem(eqx.Module):
         return _applied(self.inverse_mass, self.inverse_inertia, self.borne(impulse))
 
     def borne(self, impulse: Array) -> Array:
-        """What the bodies feel (n, 6) of impulses on them: with what the joints make of them."""
+        """What the bodies feel (n, 6) of impulses on them: with what guides and joints make of them."""
+        impulse = self.kept(impulse)
         return impulse if self.joints is None else self.joints.borne(impulse)
+
+    def kept(self, impulse: Array) -> Array:
+        """What guides leave (n, 6) of impulses on the bodies."""
+        return impulse if self.allowed is None else multiplied(self.allowed, impulse)
+
+    def on_bodies(self, impulse: Vector) -> Array:
+        """What guides leave (n, 6) of impulses (k, s, 3) at the points."""
+        return self.kept(self.contacts.impulse_on_bodies(impulse))
+
+    def blocks(self, bend: Array) -> Array:
+        """Each body's own part (n, 6, 6) of M + Jᵀ G J, with G (k, s, 3, 3)."""
+        pushed = self.contacts.blocks(bend)
+        if self.allowed is not None:
+            pushed = self.allowed @ pushed @ self.allowed
+        return of_masses(self.mass, self.inertia) + pushed
 
     def felt(self, impulse: Array) -> Scalar:
         """The largest velocity [m/s] that impulses on the bodies (n, 6) give to a body's centre or to a point."""
@@ -81,10 +101,6 @@ class Problem(eqx.Module):
             mobility = mobility.at[c.lone :].add(_mobility(back, c.lever_back))
         return jnp.where(c.active, 1.0 / jnp.where(c.active, compliance * mobility, 1.0), 0.0)
 
-    def mass_matrix(self) -> Array:
-        """M (n, 6, 6) of each body."""
-        return of_masses(self.mass, self.inertia)
-
 
 def of_masses(mass: Scalar, inertia: Array) -> Array:
     """Matrices (n, 6, 6) of masses (n,) and inertias (n, 3, 3), or of the inverses of both."""
@@ -92,6 +108,11 @@ def of_masses(mass: Scalar, inertia: Array) -> Array:
     none = jnp.zeros_like(straight)
     rows = [jnp.concatenate(row, axis=2) for row in ((straight, none), (none, inertia))]
     return jnp.concatenate(rows, axis=1)
+
+
+def motion_of(state: State) -> Array:
+    """(v, ω) (n, 6) in W."""
+    return jnp.concatenate([state.velocity, state.orientation.rotate(state.angular_velocity)], axis=1)
 
 
 def world_inertia(dynamics: Any, orientation: Rotation) -> tuple[Array, Array]:

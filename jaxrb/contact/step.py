@@ -15,10 +15,11 @@ from jax import lax
 from jaxrb.body.state import State
 from jaxrb.collision.touch import slots
 from jaxrb.contact.detection import Detected, detect
+from jaxrb.contact.held import driven_motion, held, turning
 from jaxrb.contact.impact import Course, closing, first_course, impact_scale
 from jaxrb.contact.implicit import solve, solve_crowd
 from jaxrb.contact.memory import Memory, first_memory, remembered
-from jaxrb.contact.problem import Problem, of_masses, world_inertia
+from jaxrb.contact.problem import Problem, motion_of, of_masses, world_inertia
 from jaxrb.contact.report import ContactReport, first_report, reported
 from jaxrb.contact.solution import Solution, crowd_tolerance, default_tolerance
 from jaxrb.contact.surfaces import Meeting, Obstacle
@@ -94,9 +95,12 @@ class ContactStep(eqx.Module):
         self, dynamics: Any, old: State, free: State, dt: Scalar, carried: Carried
     ) -> tuple[State, Carried]:
         """The state after the step in which contact has had its say."""
+        free = dynamics.seen(free)  # with driven bodies where they end the step
         detected = self.detected(old, free, dt, carried.memory)
         problem, spin = self._problem(dynamics, old, free, detected, dt)
-        start = jnp.concatenate([old.velocity, old.orientation.rotate(old.angular_velocity)], axis=1)
+        start = motion_of(old)
+        if dynamics.driven:
+            start = driven_motion(start, dynamics.driven, old, free, dt)
         if problem.contacts.restitution is None:
             course = first_course(problem.free, problem.contacts)
             course, found = self._round(problem, course, start, detected.start, dt, None)
@@ -118,9 +122,7 @@ class ContactStep(eqx.Module):
         if self.crowds:
             from jaxrb.contact.crowd import detect_crowd
 
-            spun = free.orientation.rotate(free.angular_velocity)
-            motion = jnp.concatenate([free.velocity, spun], axis=1)
-            return detect_crowd(self, old, reach, motion, dt, memory)
+            return detect_crowd(self, old, reach, motion_of(free), dt, memory)
         return detect(self.rules, self.kinds, self.obstacles, self.meetings, old, reach, memory)
 
     def _problem(
@@ -145,6 +147,8 @@ class ContactStep(eqx.Module):
             self._tolerance(motion.dtype, None),
             None if joints is None else joints.reactions(free, of_masses(dynamics.inverse_mass, inverse)),
         )
+        if dynamics.freedoms is not None:
+            problem = held(problem, dynamics, pose, old, free, dt)
         return problem, spin
 
     def _bias(self, gap: Scalar, dt: Scalar) -> Scalar:
@@ -224,11 +228,11 @@ class ContactStep(eqx.Module):
         velocity = free.velocity + course.jump[:, :3]
         straight = old.position + dt * velocity + (course.shift - dt * course.jump)[:, :3]
         turn = free.orientation.unrotate(course.shift[:, 3:])
-        orientation = free.orientation @ type(free.orientation).exp(turn)
+        orientation = free.orientation @ type(free.orientation).exp(turning(dynamics, turn))
         if problem.joints is not None:
             # A limb that leans on another is turned by its weight in the free step, and comes to rest only so.
             turned = dt * (problem.free + course.jump)[:, 3:] + (course.shift - dt * course.jump)[:, 3:]
-            steadily = type(old.orientation).exp(old.orientation.unrotate(turned))
+            steadily = type(old.orientation).exp(turning(dynamics, old.orientation.unrotate(turned)))
             orientation = jax.tree.map(
                 lambda straight, curved: jnp.where(
                     rests.reshape(-1, *(1,) * (curved.ndim - 1)), straight, curved
@@ -236,7 +240,7 @@ class ContactStep(eqx.Module):
                 old.orientation @ steadily,
                 orientation,
             )
-        omega = dynamics.inertia.response(orientation.unrotate(spin + impulse[:, 3:]))
+        omega = turning(dynamics, dynamics.inertia.response(orientation.unrotate(spin + impulse[:, 3:])))
         return State(
             jnp.where(rests, straight, free.position + course.shift[:, :3]),
             orientation,

@@ -8,9 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrb.body.body import Body, count_of
+from jaxrb.body.body import Body, count_of, freedoms_of
+from jaxrb.body.freedom import FIXED
 from jaxrb.effects.effect import Effect
 from jaxrb.effects.fixed_point import FixedPoint
+from jaxrb.effects.prescribed_motion import PrescribedMotion
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.effects.surfaces import Kind, kinds_of
 from jaxrb.errors import WrongStructure
@@ -67,11 +69,13 @@ def contact_of(bodies: tuple[Body, ...], effects: tuple[Effect, ...]) -> Any:
 
     if any(isinstance(effect, FixedPoint) for effect in effects):
         raise WrongStructure(
-            "Scene.effects: FixedPoint with RigidContact is not supported; hold the body by a stiff SpringDamper"
+            "Scene.effects: FixedPoint with RigidContact is not supported; hold the point by "
+            "BallJoint(bodies=(body, None)) instead"
         )
     count = sum(count_of(body) or 1 for body in bodies)
     kinds = kinds_of("RigidContact", bodies, {i for rule in rules for i in rule.chosen(count)})
-    sparse, together = _sparse(rules, count), _together(effects)
+    sparse, apart = _sparse(rules, count), _together(effects)
+    still = _still(bodies, effects)
     obstacles, meetings, crowds = [], [], []
     for number, rule in enumerate(rules):
         chosen = set(rule.chosen(count))
@@ -83,14 +87,21 @@ def contact_of(bodies: tuple[Body, ...], effects: tuple[Effect, ...]) -> Any:
             _check_unjoined(effects)
             crowds += [crowd_of(number, rule, own)] if own else []
         elif rule.against is None:
-            meetings += _meetings(number, rule, own, count, frozenset() if rule.joined else together)
+            meetings += _meetings(number, rule, own, count, still, frozenset() if rule.joined else apart)
         for shape, pose in rule.against or ():
-            obstacles += [Obstacle(number, k, members, shape, pose) for k, members in own]
+            moving = [(k, tuple(m for m in members if m not in still)) for k, members in own]
+            obstacles += [Obstacle(number, k, members, shape, pose) for k, members in moving if members]
     if not obstacles and not meetings and not crowds:
         return None
     return ContactStep(
         rules, tuple(kinds), tuple(obstacles), _radii(kinds, count), tuple(meetings), tuple(crowds), count
     )
+
+
+def _still(bodies: tuple[Body, ...], effects: tuple[Effect, ...]) -> frozenset[int]:
+    """The bodies that no impulse moves."""
+    fixed = {i for i, freedom in enumerate(freedoms_of(bodies)) if freedom == FIXED}
+    return frozenset(fixed | {effect.body for effect in effects if isinstance(effect, PrescribedMotion)})
 
 
 def _together(effects: tuple[Effect, ...]) -> frozenset[tuple[int, int]]:
@@ -137,14 +148,18 @@ def _meetings(
     rule: RigidContact,
     own: list[tuple[int, tuple[int, ...]]],
     count: int,
+    still: frozenset[int],
     apart: frozenset[tuple[int, int]],
 ) -> list[Meeting]:
-    """The pairs of kinds that a rule lets touch, but for those (lower, higher) that are kept `apart`."""
+    """The pairs of kinds that a rule lets touch, but for those of two that stand `still`, and those (lower, higher)
+    that are kept `apart`."""
     together = []
     for at, (k, members) in enumerate(own):
         for other, others in own[at:]:
             first, second = (side.ravel() for side in np.meshgrid(members, others, indexing="ij"))
             chosen = rule.may_touch(first, second) & ((first < second) | (k != other))
+            if still:
+                chosen &= [i not in still or j not in still for i, j in zip(first.tolist(), second.tolist())]
             if apart:
                 chosen &= [
                     (min(i, j), max(i, j)) not in apart for i, j in zip(first.tolist(), second.tolist())

@@ -37,6 +37,7 @@ class RigidContact(Effect):
     * `solver`: "newton" (for piles of up to some hundreds), "sparse" (cost and memory linear in the bodies, for
       crowds: `contact/sparse.py`), None: by the number of bodies that meet each other.
 
+    Bodies may be fixed, restricted or driven: what holds them takes what they cannot follow (`rb.rollout` only).
     Shapes come from `Body.shape`; every body that takes part must have one that is convex, or a `Composite` of such.
     """
 

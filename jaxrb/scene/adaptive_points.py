@@ -14,13 +14,12 @@ from jaxrb.contact.impact import impact_scale
 from jaxrb.contact.linear import conjugate_gradients
 from jaxrb.contact.memory import Memory, recalled, remembered
 from jaxrb.contact.newton import compliance
-from jaxrb.contact.problem import Problem, world_inertia
+from jaxrb.contact.problem import Problem, motion_of, world_inertia
 from jaxrb.contact.solver import solve_contacts
 from jaxrb.effects.dynamics import Dynamics
 from jaxrb.math.arrays import Array, Scalar
 from jaxrb.math.safe import divide, norm
 from jaxrb.math.vector import dot
-from jaxrb.scene.events_corners import motion_of
 
 # Of the matrix of the closed points, so that points which share a load have one answer.
 _SHARED = {64: 1e-10, 32: 1e-5}

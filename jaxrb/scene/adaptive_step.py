@@ -23,6 +23,7 @@ from jax import lax
 from jaxrb.body.state import State
 from jaxrb.contact.block import Contacts
 from jaxrb.contact.memory import Memory, remembered
+from jaxrb.contact.problem import motion_of
 from jaxrb.contact.solver import solve_contacts
 from jaxrb.effects.dynamics import Dynamics
 from jaxrb.math.arrays import Array, Scalar
@@ -42,7 +43,6 @@ from jaxrb.scene.adaptive_points import (
     recalled_by,
     with_motion,
 )
-from jaxrb.scene.events_corners import motion_of
 
 # The first look at a step: so short a part of it that nothing switches within, but [s] long enough that the solve's
 # round-off of velocities does not hide what forces change.

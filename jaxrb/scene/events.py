@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrb.body.body import freedoms_of
 from jaxrb.body.state import State, finite_per_body
 from jaxrb.checks import is_concrete
 from jaxrb.errors import InvalidInput, RunFailed, WrongStructure
@@ -25,6 +26,7 @@ from jaxrb.scene.events_loop import (
     Settings,
     run_events,
 )
+from jaxrb.scene.freedoms import check_struck_free
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene, check_fit
 from jaxrb.scene.settings import ON_ERROR, check_choice, check_count, check_positive, check_struck
@@ -163,6 +165,7 @@ def _check_scene(scene: Scene, state: State, method: Method, dt: Any) -> None:
             "solve_events: the scene has no RigidContact, so nothing can meet; add one, or use rb.rollout or rb.solve"
         )
     check_struck("solve_events", state, method)
+    check_struck_free("solve_events", freedoms_of(scene.bodies), scene.effects)
     if dt is not None:
         check_positive("dt", dt)
     elif not is_exact(others):

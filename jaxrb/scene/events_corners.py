@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxrb.body.state import State
 from jaxrb.contact.block import Contacts
+from jaxrb.contact.problem import motion_of
 from jaxrb.errors import WrongStructure
 from jaxrb.geometry.hull import ConvexHull
 from jaxrb.geometry.primitives import Box, Capsule, Composite, HalfSpace, Sphere
@@ -96,11 +97,6 @@ def _padded(rows: list[Array], dtype: Any) -> Array:
     if not rows:
         return jnp.zeros((0, 1, 3), dtype)
     return jnp.stack([jnp.concatenate([p, jnp.broadcast_to(p[:1], (most - len(p), 3))]) for p in rows])
-
-
-def motion_of(state: State) -> Array:
-    """(v, ω) (n, 6) in W."""
-    return jnp.concatenate([state.velocity, state.orientation.rotate(state.angular_velocity)], axis=1)
 
 
 class Sides(eqx.Module):

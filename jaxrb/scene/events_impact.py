@@ -13,13 +13,12 @@ from jaxrb.body.state import State
 from jaxrb.contact.block import Contacts
 from jaxrb.contact.impact import impact_scale
 from jaxrb.contact.implicit import solve
-from jaxrb.contact.problem import Problem, world_inertia
+from jaxrb.contact.problem import Problem, motion_of, world_inertia
 from jaxrb.contact.solver import solve_contacts
 from jaxrb.effects.dynamics import Dynamics
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.safe import divide, norm
 from jaxrb.math.vector import cross, dot, matvec
-from jaxrb.scene.events_corners import motion_of
 from jaxrb.scene.events_search import Scale
 
 # The solve ends where round-off of velocities, seen through its compliance, hides what is left. Of few points (slots of

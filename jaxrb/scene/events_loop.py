@@ -16,12 +16,13 @@ from jax import lax
 
 from jaxrb.body.state import State
 from jaxrb.contact.block import Contacts
+from jaxrb.contact.problem import motion_of
 from jaxrb.effects.dynamics import Dynamics
 from jaxrb.integrators.method import Method
 from jaxrb.math.arrays import Array, Scalar, Vector
 from jaxrb.math.safe import norm
 from jaxrb.math.vector import dot
-from jaxrb.scene.events_corners import Corners, corners_of, motion_of
+from jaxrb.scene.events_corners import Corners, corners_of
 from jaxrb.scene.events_flight import Flight, flight_of
 from jaxrb.scene.events_impact import Blow, hits, struck
 from jaxrb.scene.events_search import Scale, first_impact, touching

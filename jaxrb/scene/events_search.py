@@ -17,10 +17,11 @@ from jax import lax
 from jaxrb.body.state import State
 from jaxrb.contact.block import Contacts
 from jaxrb.contact.detection import Detected, detect
+from jaxrb.contact.problem import motion_of
 from jaxrb.math.arrays import Array, Scalar
 from jaxrb.math.safe import divide, norm
 from jaxrb.math.vector import dot
-from jaxrb.scene.events_corners import Corners, motion_of, sides_of
+from jaxrb.scene.events_corners import Corners, sides_of
 from jaxrb.scene.events_flight import Bounds, Flight
 
 _ROUNDS = 400

@@ -15,8 +15,8 @@ from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.errors import InvalidInput, WrongStructure
 
 
-def check_contact(freedoms: Sequence[Freedom], effects: Sequence[Effect]) -> None:
-    """Refuse rigid contact of bodies that are not free: its impulses would move what cannot move.
+def check_struck_free(run: str, freedoms: Sequence[Freedom], effects: Sequence[Effect]) -> None:
+    """Refuse rigid contact of bodies that are not free in a `run` whose impacts would move what cannot move.
 
     Raises:
         WrongStructure: naming the body and what else to do.
@@ -30,8 +30,8 @@ def check_contact(freedoms: Sequence[Freedom], effects: Sequence[Effect]) -> Non
                 continue
             what = "moves as PrescribedMotion says" if body in driven else name_of(freedoms[body])
             raise WrongStructure(
-                f"RigidContact: body {body} {what}, which impulses do not know; leave it out by bodies=(…), give what "
-                "stands still to RigidContact(against=…), or use CompliantContact"
+                f"{run}: RigidContact of body {body}, which {what}: the impacts of this run do not know that; use "
+                "rb.rollout, leave it out by bodies=(…), or give what stands still to RigidContact(against=…)"
             )
 
 

@@ -21,7 +21,7 @@ from jaxrb.math.arrays import Scalar, Vector
 from jaxrb.math.euler_angles import EulerAngles
 from jaxrb.math.quaternion import Quaternion
 from jaxrb.math.rotation import Rotation
-from jaxrb.scene.freedoms import check_contact, check_driven, check_joints, check_motion
+from jaxrb.scene.freedoms import check_driven, check_joints, check_motion
 from jaxrb.scene.initial import check_held, initial_state
 from jaxrb.scene.start import check_start
 
@@ -52,7 +52,6 @@ class Scene(Checked):
                     f"Scene.effects: {effect!r} is no effect; wrap a function in CustomForce"
                 )
             effect.check(self.count)
-        check_contact(freedoms_of(bodies), effects)
         check_joints(effects)
 
     @property

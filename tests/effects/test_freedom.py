@@ -278,15 +278,16 @@ def test_worlds_and_crowds_of_points_are_vmapped_as_any_other(dtype):
 
 
 BALL = rb.Body.from_shape(rb.Sphere(0.1), 1.0)
+FIXED = rb.Scene((BALL, BALL.fixed()), rb.RigidContact())
 REFUSED = {
     "unknown axis": (lambda: BRICK.restricted("xw"), WrongStructure, r"Freedom\.linear: 'xw'"),
     "two bearings": (lambda: BRICK.restricted("", "xy"), WrongStructure, r"Freedom\.angular: 'xy'; give 'xyz'"),
     "point that turns": (lambda: POINT.restricted("xy", "z"), WrongStructure, "no inertia to turn with"),
     "point without mass": (lambda: rb.Body.point(0.0), InvalidInput, r"Body\.mass is .*0\.0.* kg, but must"),
-    "contact of a fixed body": (
-        lambda: rb.Scene((BALL, BALL.fixed()), rb.RigidContact()),
+    "impacts of a fixed body": (
+        lambda: rb.solve_events(FIXED, FIXED.state(), t1=1.0, max_events=4),
         WrongStructure,
-        r"RigidContact: body 1 is fixed, .*RigidContact\(against=…\)",
+        r"solve_events: RigidContact of body 1, which is fixed: .*use rb\.rollout, .*RigidContact\(against=…\)",
     ),
     "held and restricted": (
         lambda: rb.Scene(BRICK.restricted("xy", "z"), rb.FixedPoint((0, 0, 1))).state(),
@@ -311,8 +312,3 @@ def test_what_restricted_bodies_cannot_do_is_refused(case):
     make, error, message = REFUSED[case]
     with pytest.raises(error, match=message):
         make()
-
-
-def test_contact_that_leaves_fixed_bodies_out_is_accepted():
-    scene = rb.Scene((BALL, BALL.fixed()), rb.RigidContact(rb.HalfSpace(), bodies=(0,)))
-    assert scene.prepared(float).freedoms is not None

@@ -168,6 +168,10 @@ def test_derivatives_with_respect_to_the_wind(tolerance):
     assert float(to_slope) == pytest.approx(expected, abs=tolerance(float64=1e-8, float32=1e-5))
 
 
+SHAKEN = rb.Scene(
+    rb.Body.from_shape(rb.Sphere(0.1), 1.0),
+    (rb.PrescribedMotion(shaker, 0.1), rb.RigidContact(rb.HalfSpace())),
+)
 REFUSED = {
     "no function": (lambda: rb.PrescribedMotion("up"), WrongStructure, "'up' is no function"),
     "no pose": (
@@ -195,12 +199,10 @@ REFUSED = {
         InvalidInput,
         r"state\.velocity of body 0 is \[5\.0, 0\.0, 0\.0\].*PrescribedMotion",
     ),
-    "contact": (
-        lambda: rb.Scene(
-            rb.Body.from_shape(rb.Sphere(0.1), 1.0), (rb.PrescribedMotion(shaker, 0.1), rb.RigidContact(rb.HalfSpace()))
-        ),
+    "impacts": (
+        lambda: rb.solve_events(SHAKEN, SHAKEN.state(), t1=1.0, max_events=4),
         WrongStructure,
-        "RigidContact: body 0 moves as PrescribedMotion says",
+        "solve_events: RigidContact of body 0, which moves as PrescribedMotion says: .*use rb.rollout",
     ),
     "wind on a spring": (
         lambda: rb.WindField(rb.SpringDamper(1.0), shear),
