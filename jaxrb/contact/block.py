@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrb.contact.resistance import Resistance
 from jaxrb.math.arrays import Array, Scalar, Vector, components, entries, stack
 from jaxrb.math.vector import cross, cross_of
 
@@ -68,6 +69,7 @@ class Contacts(eqx.Module):
     * `distance` (k, s) [m]: negative where they overlap. `active` (k, s): which slots hold a point near enough.
     * `friction` (k,), `restitution` (k,): None where the scene has none.
     * `feature` (k, s): whole numbers that name the point within its pair.
+    * `resistance`: where there is any, the last slot of each block is no point, but the pair's couple.
     """
 
     incidence: Incidence
@@ -79,6 +81,7 @@ class Contacts(eqx.Module):
     friction: Scalar | None
     restitution: Scalar | None
     feature: Array
+    resistance: Resistance | None = None
 
     @property
     def lone(self) -> int:
@@ -88,23 +91,51 @@ class Contacts(eqx.Module):
     def relative_velocity(self, motion: Array) -> Vector:
         """Velocity (k, s, 3) [m/s] of the pushed body against the other at each point, of (v, ω) (n, 6) in W."""
         pushed, back = self.incidence.take(motion)
-        velocity = _point_velocity(pushed, self.lever)
+        velocity = self._at_slots(pushed, self.lever, 0)
         if back is None or self.lever_back is None:
             return velocity
-        other = _point_velocity(back, self.lever_back)
+        other = self._at_slots(back, self.lever_back, self.lone)
         return velocity.at[self.lone :].add(-other) if self.lone else velocity - other
 
     def impulse_on_bodies(self, impulse: Vector) -> Array:
         """Sum (n, 6) of impulse [N s] and angular impulse [N m s] on each body, of impulses (k, s, 3) in W."""
-        pushed = _summed_wrench(impulse, self.lever)
-        back = None if self.lever_back is None else -_summed_wrench(impulse[self.lone :], self.lever_back)
+        pushed = self._wrench(impulse, self.lever, 0)
+        back = None if self.lever_back is None else -self._wrench(impulse, self.lever_back, self.lone)
         return self.incidence.give(pushed, back)
 
     def blocks(self, bend: Array) -> Array:
         """Each body's own part (n, 6, 6) of Jᵀ G J, with G (k, s, 3, 3)."""
-        pushed = _block(self.lever, bend)
-        back = None if self.lever_back is None else _block(self.lever_back, bend[self.lone :])
+        pushed = self._block(self.lever, bend, 0)
+        back = None if self.lever_back is None else self._block(self.lever_back, bend, self.lone)
         return self.incidence.give(pushed, back)[:, _WHOLE]
+
+    def at_points(self, values: Array, couples: Any) -> Array:
+        """Values (k, s) of the points, and what stands for the couples where there are any."""
+        return values if self.resistance is None else values.at[:, -1].set(couples)
+
+    # Of one side of the blocks from `first` on.
+
+    def _at_slots(self, motion: Array, lever: Vector, first: int) -> Vector:
+        velocity = _point_velocity(motion, lever)
+        if self.resistance is None:
+            return velocity
+        return velocity.at[:, -1].set(self.resistance.arm[first:, None] * motion[:, 3:])
+
+    def _wrench(self, impulse: Vector, lever: Vector, first: int) -> Array:
+        impulse = impulse[first:]
+        if self.resistance is None:
+            return _summed_wrench(impulse, lever)
+        points = _summed_wrench(impulse[:, :-1], lever[:, :-1])
+        return points.at[:, 3:].add(self.resistance.arm[first:, None] * impulse[:, -1])
+
+    def _block(self, lever: Vector, bend: Array, first: int) -> Array:
+        bend = bend[first:]
+        if self.resistance is None:
+            return _block(lever, bend)
+        arm = self.resistance.arm[first:]
+        # A lever of zero: what is the couple's own goes to the forces' rows, and is moved to those of turning.
+        points, couple = _block(lever[:, :-1], bend[:, :-1]), _block(lever[:, -1:], bend[:, -1:])
+        return points.at[:, _TURNING].add((arm * arm)[:, None] * couple[:, _STRAIGHT])
 
 
 def _point_velocity(motion: Array, lever: Vector) -> Vector:
@@ -138,6 +169,8 @@ def _block(lever: Vector, bend: Array) -> Array:
 
 
 _LOWER = tuple((i, j) for i in range(6) for j in range(i + 1))
+_STRAIGHT = np.array([_LOWER.index((i, j)) for i in range(3) for j in range(i + 1)], np.int32)
+_TURNING = np.array([_LOWER.index((3 + i, 3 + j)) for i in range(3) for j in range(i + 1)], np.int32)
 _WHOLE = np.array(
     [[_LOWER.index((max(i, j), min(i, j))) for j in range(6)] for i in range(6)],
     np.int32,  # of one type in both precisions: jax keeps constants of a process that runs both, and mixes them up

@@ -48,29 +48,28 @@ class Columns(NamedTuple):
     def velocity(self, motion: Array) -> Any:
         """Of the pushed body against the other at each point (s, k), of motions (6, n)."""
         pushed, back = _taken(self.problem.contacts.incidence, motion)
-        own = _at(pushed, self.lever)
+        own = self._at_slots(pushed, self.lever, 0)
         if back is None:
             return own
         lone = self.problem.contacts.lone
-        other = _at(back, self.lever_back)
+        other = self._at_slots(back, self.lever_back, lone)
         return tuple(a - jnp.pad(b, ((0, 0), (lone, 0))) for a, b in zip(own, other, strict=True))
 
     def on_bodies(self, impulse: Any) -> Array:
         """Impulse and angular impulse (6, n) on each body."""
-        pushed = _wrench(impulse, self.lever)
+        pushed = self._wrench(impulse, self.lever, 0)
         if self.lever_back is None:
             return _given(self.problem.contacts.incidence, pushed, None)
         lone = self.problem.contacts.lone
-        back = -_wrench([part[:, lone:] for part in impulse], self.lever_back)
+        back = -self._wrench([part[:, lone:] for part in impulse], self.lever_back, lone)
         return _given(self.problem.contacts.incidence, pushed, back)
 
     def stepped(self, impulse: Any, motion: Array) -> tuple[Any, Scalar]:
         """The impulses after a projected step from where bodies move with `motion`; how far from the law those were."""
         velocity, normal = self.velocity(motion), self.normal
         held, closing = dot_of(impulse, normal), dot_of(velocity, normal)
-        pressing = jnp.maximum(held - self.along * (closing - self.bias), 0.0)
-        friction = self.problem.contacts.friction
-        if friction is None:
+        pressing, most = self._pressing(held - self.along * (closing - self.bias))
+        if most is None:
             new = tuple(pressing * n for n in normal)
         else:
             side = [
@@ -79,9 +78,36 @@ class Columns(NamedTuple):
             ]
             # `law.within` with one root and no division: its branches take as long as all the rest.
             square = jnp.maximum(dot_of(side, side), jnp.finfo(held.dtype).tiny)
-            cut = jnp.minimum(friction * pressing * lax.rsqrt(square), 1.0)
+            cut = jnp.minimum(most * lax.rsqrt(square), 1.0)
             new = tuple(pressing * n + cut * t for n, t in zip(normal, side, strict=True))
         return new, self.felt(tuple(x - y for x, y in zip(new, impulse, strict=True)))
+
+    def _pressing(self, along: Scalar) -> tuple[Scalar, Scalar | None]:
+        """The normal parts (s, k) that the law allows, and the greatest length of the tangential ones."""
+        friction, resistance = self.problem.contacts.friction, self.problem.contacts.resistance
+        pressing = jnp.maximum(along, 0.0)
+        most = None if friction is None else friction * pressing
+        if resistance is None:
+            return pressing, most
+        rolling, spinning = resistance.bounds(jnp.sum(pressing[:-1], axis=0))
+        most = jnp.zeros_like(pressing) if most is None else most
+        return pressing.at[-1].set(jnp.clip(along[-1], -spinning, spinning)), most.at[-1].set(rolling)
+
+    def _at_slots(self, motion: Array, lever: Any, first: int) -> Any:
+        """Velocities (s, k) at the slots of one side, whose blocks begin with `first`."""
+        velocity, resistance = _at(motion, lever), self.problem.contacts.resistance
+        if resistance is None:
+            return velocity
+        arm = resistance.arm[first:]
+        return tuple(v.at[-1].set(arm * w) for v, w in zip(velocity, motion[3:], strict=True))
+
+    def _wrench(self, impulse: Any, lever: Any, first: int) -> Array:
+        resistance = self.problem.contacts.resistance
+        if resistance is None:
+            return _wrench(impulse, lever)
+        points = _wrench([part[:-1] for part in impulse], [part[:-1] for part in lever])
+        couple = jnp.stack([resistance.arm[first:] * part[-1] for part in impulse])
+        return points.at[3:].add(couple)
 
     def felt(self, impulse: Any) -> Scalar:
         """The greatest velocity [m/s] that is the step's own at a point whose impulse changes so."""
@@ -125,21 +151,28 @@ def _bounds(
     each = jnp.sum(here, axis=0)[None]
     shared = _given(incidence, each, None if lever_back is None else each[:, len(incidence.lone) :])
     pushed, back = _taken(incidence, jnp.concatenate([shared, jnp.stack(_masses(problem))]))
-    rows = _rows(frame, pushed, lever)
+    arm = None if problem.contacts.resistance is None else problem.contacts.resistance.arm
+    rows = _rows(frame, pushed, lever, arm)
     if back is not None:
         lone = len(incidence.lone)
         own = [[part[lone:] for part in axis] for axis in frame]
-        others = _rows(own, back, lever_back)
+        others = _rows(own, back, lever_back, None if arm is None else arm[lone:])
         rows = [a + jnp.pad(b, ((0, 0), (lone, 0))) for a, b in zip(rows, others, strict=True)]
     nn, tt, uu, nt, nu, tu = (jnp.abs(x) for x in rows)
     return divide(here, nn + nt + nu), divide(here, jnp.maximum(nt + tt, nu + uu) + tu)
 
 
-def _rows(frame: Any, bodies: Array, lever: Any) -> list[Scalar]:
+def _rows(frame: Any, bodies: Array, lever: Any, arm: Scalar | None) -> list[Scalar]:
     """What an impulse at each point does there to one of its bodies, times in how many points that takes part: the
-    entries 11, 22, 33, 12, 13, 23 of a symmetric matrix in the point's frame."""
+    entries 11, 22, 33, 12, 13, 23 of a symmetric matrix in the point's frame. `arm`: of couples, the last slots."""
     times, mass, *inertia = bodies
     turned = [cross_of(lever, axis) for axis in frame]
+    if arm is not None:
+        turned = [
+            [t.at[-1].set(arm * a) for t, a in zip(x, axis, strict=True)]
+            for x, axis in zip(turned, frame, strict=True)
+        ]
+        mass = jnp.broadcast_to(mass, lever[0].shape).at[-1].set(0.0)
     answers = [symmetric_of(inertia, x) for x in turned]
     own = [times * (mass + dot_of(turned[i], answers[i])) for i in range(3)]
     return own + [times * dot_of(turned[i], answers[j]) for i, j in ((0, 1), (0, 2), (1, 2))]

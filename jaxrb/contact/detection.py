@@ -14,6 +14,7 @@ from jaxrb.contact.block import Contacts, Incidence
 from jaxrb.contact.memory import Memory, recalled
 from jaxrb.contact.near import Near
 from jaxrb.contact.pairs import points_where
+from jaxrb.contact.resistance import with_couples
 from jaxrb.contact.surfaces import Meeting, Obstacle
 from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.effects.surfaces import Kind, placed, standing
@@ -129,7 +130,7 @@ def _joined(
     half = jnp.where(own[:, None], 0.5 * points.distance, 0.0)[..., None] * points.normal[:, None]
     lever = points.position + half - pushed[:, None]
     back = None if back is None else (points.position - half)[len(lone) :] - back[:, None]
-    return Contacts(
+    contacts = Contacts(
         incidence,
         points.normal,
         lever,
@@ -139,6 +140,10 @@ def _joined(
         _coefficient("friction", rules, obstacles, meetings, incidence),
         restitution,
         points.feature,
+    )
+    lengths = (f"{name}_resistance" for name in ("rolling", "spinning"))
+    return with_couples(
+        contacts, *(_coefficient(name, rules, obstacles, meetings, incidence) for name in lengths)
     )
 
 

@@ -69,7 +69,8 @@ def movable(contacts: Contacts, answers: Array, whole: Array) -> Array:
     """Which points (k, s) can be pushed open: by bodies that answer impulses by `answers` (n, 6, 6), if they were free
     by `whole`. No impulse along a normal moves what is held along it."""
     eps = jnp.finfo(whole.dtype).eps
-    return _along_normal(contacts, answers) > _ROUND_OFF * eps * _along_normal(contacts, whole)
+    open_ = _along_normal(contacts, answers) > _ROUND_OFF * eps * _along_normal(contacts, whole)
+    return contacts.at_points(open_, jnp.any(contacts.at_points(contacts.active & open_, False), axis=1))
 
 
 def _along_normal(contacts: Contacts, answers: Array) -> Scalar:

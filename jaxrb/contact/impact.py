@@ -66,6 +66,7 @@ def closing(problem: Problem, course: Course, start: Array, dt: Scalar) -> tuple
     round_off = jnp.sqrt(jnp.finfo(speed.dtype).eps) * jnp.max(jnp.abs(begin), initial=0.0)
     resting = jnp.maximum(2.0 * jnp.abs(acceleration) * dt, round_off)
     hit = c.active & meets & (begin < 0) & (time <= dt) & (speed > resting) & (_restitution(c) > 0)
+    hit = c.at_points(hit, False)
     left = jnp.where(hit, dt - time, 0.0)
     return hit, _restitution(c) * speed + acceleration * left, left
 

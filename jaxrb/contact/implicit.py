@@ -20,7 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxrb.contact.law import projected
 from jaxrb.contact.many import solve_all
 from jaxrb.contact.newton import compliance
 from jaxrb.contact.problem import Problem
@@ -80,7 +79,7 @@ def _tangents(numbers: Problem, change: Problem, rest: Any, found: Solution) -> 
         moved = own.contacts.relative_velocity(motion)
         against = own.wanted(jnp.zeros_like(moved), moved, jnp.ones_like(firm))
         wanted = frozen + firm[..., None] * (against - lax.stop_gradient(against))
-        return own.projected(wanted, own.bound(own.projected(wanted, None)))
+        return own.projected(wanted, own.bounds(wanted))
 
     joined: Any = None
     if problem.joints is not None:
@@ -114,12 +113,12 @@ def _linear_law(problem: Problem, found: Solution) -> tuple[Vector, Scalar]:
     soft, firm = (problem.stiffness(r) for r in (compliance(dtype), _firm_compliance(dtype)))
     velocity = c.relative_velocity(found.motion)
     wanted = problem.wanted(found.impulse, velocity, soft)
-    if c.friction is not None:
+    bound = problem.bounds(wanted).across
+    if bound is not None:
         normal = c.normal[:, None]
         along = dot(wanted, normal)
         side = wanted - along[..., None] * normal
-        bound = c.friction[:, None] * jnp.maximum(along, 0.0)
-        slides = (dot(side, side) > bound * bound) & (along > 0)
+        slides = (dot(side, side) > bound * bound) & (bound > 0)
         firmly = problem.wanted(found.impulse, velocity, firm)
         firmly = firmly - dot(firmly, normal)[..., None] * normal + along[..., None] * normal
         wanted = jnp.where(slides[..., None], firmly, wanted)
@@ -131,31 +130,31 @@ def _firm_compliance(dtype: Any) -> float:
 
 
 def _slopes(problem: Problem, frozen: Vector, firm: Scalar) -> Array:
-    """−∂λ/∂v (k, s, 3, 3) of the linear law."""
-    c = problem.contacts
-    normal = jnp.broadcast_to(c.normal[:, None], frozen.shape)
-    friction = None if c.friction is None else jnp.broadcast_to(c.friction[:, None], firm.shape)
+    """−∂λ/∂v of the linear law: (k, s, 3, 3), each point's own; (k, s, 3, s, 3) where couples follow all of a pair."""
 
-    def one(normal: Vector, frozen: Vector, firm: Scalar, friction: Scalar | None) -> Array:
-        def law(change: Vector) -> Vector:
-            wanted = frozen - firm * change
-            bound = None if friction is None else friction * jnp.maximum(dot(wanted, normal), 0.0)
-            return projected(wanted, normal, bound)
+    def law(change: Vector) -> Vector:
+        wanted = frozen - firm[..., None] * change
+        return problem.projected(wanted, problem.bounds(wanted))
 
-        return -jax.jacfwd(law)(jnp.zeros_like(frozen))
+    def slope(direction: Array) -> Vector:
+        at = jnp.zeros_like(frozen)
+        return -jax.jvp(law, (at,), (jnp.broadcast_to(direction, at.shape),))[1]
 
-    return jax.vmap(jax.vmap(one))(normal, frozen, firm, friction)
+    unit = jnp.eye(3, dtype=frozen.dtype)
+    if problem.contacts.resistance is None:
+        return jax.vmap(slope, out_axes=-1)(unit)
+    alone = jnp.eye(frozen.shape[1], dtype=frozen.dtype)
+    return jax.vmap(jax.vmap(slope, out_axes=-1), out_axes=-2)(alone[:, None, :, None] * unit[:, None, :])
 
 
 def _matrix(problem: Problem, slopes: Array) -> Array:
-    """M + Jᵀ G J (6n, 6n), G (k, s, 3, 3) not symmetric."""
+    """M + Jᵀ G J (6n, 6n), G of `_slopes`, not symmetric."""
     n = len(problem.mass)
+    product = "ksij,ksj->ksi" if problem.contacts.resistance is None else "ksitj,ktj->ksi"
     return jax.vmap(
         lambda direction: (
             problem.momentum(direction)
-            + problem.on_bodies(
-                jnp.einsum("ksij,ksj->ksi", slopes, problem.contacts.relative_velocity(direction))
-            )
+            + problem.on_bodies(jnp.einsum(product, slopes, problem.contacts.relative_velocity(direction)))
         ).ravel(),
         out_axes=1,
     )(jnp.eye(6 * n, dtype=slopes.dtype).reshape(6 * n, n, 6))

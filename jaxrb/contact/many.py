@@ -119,6 +119,7 @@ def _one_by_one(
         None if c.friction is None else c.friction[blocks],
         None if c.restitution is None else c.restitution[blocks],
         c.feature[blocks],
+        None if c.resistance is None else jax.tree.map(lambda leaf: leaf[blocks], c.resistance),
     )
 
     def own(rows: Array) -> Array:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrb.contact.law import curvature
+from jaxrb.contact.law import Bounds, curvature
 from jaxrb.contact.linear import conjugate_gradients, inverted, multiplied
 from jaxrb.contact.problem import Problem
 from jaxrb.contact.solution import speed_to_take
@@ -71,14 +71,14 @@ def newton(
         # nothing, so that the next step can begin with it.
         residual = jnp.maximum(jnp.maximum(change, off), jnp.where(follows, 0.0, 2 * tolerance))
         left = jnp.where(first, broken, jnp.maximum(broken, off))
-        bound = problem.bound(held)
-        bend = settled(curvature(wanted, c.normal[:, None], bound, stiffness))
+        bounds = problem.bounds(held)
+        bend = settled(curvature(wanted, c.normal[:, None], bounds, stiffness))
         # While points still open and close, a rough direction is as good as any; then one exact solve ends it.
         rough = jnp.where(whole, jnp.clip(0.1 * tolerance / problem.felt(gap), _EXACT, _ROUGH), _ROUGH)
         right = jnp.where(residual > tolerance, -gap, 0.0)
         direction, used = _newton_direction(problem, bend, right, rough)
         rate = c.relative_velocity(direction)
-        length = given.line_search(held, bound, impulse, gap, direction, rate)
+        length = given.line_search(held, bounds, impulse, gap, direction, rate)
         motion, velocity = motion + length * direction, velocity + length * rate
         # A round made with this compliance is done; the next may be firmer. (The law above must not change within it.)
         softness = jnp.where(follows, jnp.maximum(firm, 0.1 * softness), softness)
@@ -121,7 +121,7 @@ class _Given(NamedTuple):
         def look(round_: Any, carry: Any) -> Any:
             held, _, wanted, impulse, *before, followed = carry
             wanted = problem.wanted(held, self.velocity, self.stiffness)
-            impulse = problem.projected(wanted, problem.bound(held))
+            impulse = problem.projected(wanted, problem.bounds(held))
             gap = problem.momentum(self.motion - problem.free) - problem.contacts.impulse_on_bodies(impulse)
             gap = problem.borne(gap)  # of what is held, or joints bear, only round-off would be seen below
             # As velocities of the points: impulses that share a load in another way move nothing.
@@ -147,11 +147,11 @@ class _Given(NamedTuple):
         a heavy one and the floor would feel nothing, pushed from both sides, while all three overlap.
         """
         problem = self.problem
-        lawful = problem.projected(problem.wanted(impulse, self.velocity, self.unit), problem.bound(impulse))
+        lawful = problem.projected(problem.wanted(impulse, self.velocity, self.unit), problem.bounds(impulse))
         return jnp.max(divide(jnp.abs(lawful - impulse), self.unit[..., None]), initial=0.0)
 
     def line_search(
-        self, held: Vector, bound: Any, impulse: Vector, gap: Array, direction: Array, rate: Vector
+        self, held: Vector, bounds: Bounds, impulse: Vector, gap: Array, direction: Array, rate: Vector
     ) -> Scalar:
         """Where the function's slope along the direction vanishes, in (0, 1]; the whole step unless it goes too far."""
         problem = self.problem
@@ -170,7 +170,7 @@ class _Given(NamedTuple):
             share = jnp.clip(at_low / (at_low - at_high), 0.1, 0.9)
             middle = jnp.where(k == 0, 1.0, low + share * (high - low))
             wanted = problem.wanted(held, self.velocity + middle * rate, self.stiffness)
-            pushed = problem.projected(wanted, bound) - impulse
+            pushed = problem.projected(wanted, bounds) - impulse
             value = slope0 + middle * inertial - jnp.sum(rate * pushed)
             left = (value < 0) & (k > 0)
             right = ~left

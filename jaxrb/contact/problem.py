@@ -7,8 +7,9 @@ import jax.numpy as jnp
 
 from jaxrb.body.state import State
 from jaxrb.contact.block import Contacts
-from jaxrb.contact.law import predicted, projected
+from jaxrb.contact.law import Bounds, predicted, projected
 from jaxrb.contact.linear import multiplied
+from jaxrb.contact.resistance import with_last
 from jaxrb.math.arrays import Array, Scalar, Vector, components, stack
 from jaxrb.math.matrix import RotationMatrix
 from jaxrb.math.rotation import Rotation
@@ -80,16 +81,26 @@ class Problem(eqx.Module):
         """The impulses that the law projects (k, s, 3)."""
         return predicted(impulse, velocity, self.bias, self.contacts.normal[:, None], stiffness)
 
-    def bound(self, impulse: Vector) -> Scalar | None:
-        """μ λₙ (k, s); None without friction."""
-        if self.contacts.friction is None:
-            return None
-        pressing = jnp.maximum(jnp.sum(impulse * self.contacts.normal[:, None], axis=-1), 0.0)
-        return self.contacts.friction[:, None] * pressing
+    def bounds(self, impulse: Vector) -> Bounds:
+        """Of impulses (k, s, 3), by how hard `impulse` presses."""
+        c = self.contacts
+        if c.friction is None and c.resistance is None:
+            return Bounds(None)
+        pressing = jnp.maximum(jnp.sum(impulse * c.normal[:, None], axis=-1), 0.0)
+        across = None if c.friction is None else c.friction[:, None] * pressing
+        if c.resistance is None:
+            return Bounds(across)
+        rolling, spinning = c.resistance.bounds(jnp.sum(pressing[:, :-1], axis=1))
+        none = jnp.zeros_like(pressing)
+        return Bounds(
+            with_last(none if across is None else across, rolling),
+            with_last(none, -spinning),
+            with_last(jnp.full_like(pressing, jnp.inf), spinning),
+        )
 
-    def projected(self, wanted: Vector, bound: Scalar | None) -> Vector:
+    def projected(self, wanted: Vector, bounds: Bounds) -> Vector:
         """The impulses that the law allows."""
-        return projected(wanted, self.contacts.normal[:, None], bound)
+        return projected(wanted, self.contacts.normal[:, None], bounds)
 
     def stiffness(self, compliance: float) -> Scalar:
         """1/R (k, s) [kg] of compliance R = `compliance` · effective inverse mass of the point; 0 where inactive."""
@@ -99,7 +110,18 @@ class Problem(eqx.Module):
         mobility = _mobility(pushed, c.lever)
         if back is not None and c.lever_back is not None:
             mobility = mobility.at[c.lone :].add(_mobility(back, c.lever_back))
+        if c.resistance is not None:
+            mobility = with_last(mobility, self._turned(pushed, back))
         return jnp.where(c.active, 1.0 / jnp.where(c.active, compliance * mobility, 1.0), 0.0)
+
+    def _turned(self, pushed: Array, back: Array | None) -> Scalar:
+        """`_mobility` of the couples (k,)."""
+        c = self.contacts
+        answer = jnp.trace(pushed[:, 1:].reshape(-1, 3, 3), axis1=1, axis2=2)
+        if back is not None:
+            answer = answer.at[c.lone :].add(jnp.trace(back[:, 1:].reshape(-1, 3, 3), axis1=1, axis2=2))
+        assert c.resistance is not None
+        return c.resistance.arm**2 * answer / 3
 
 
 def of_masses(mass: Scalar, inertia: Array) -> Array:

@@ -55,7 +55,7 @@ def reported(
     normal = c.normal[:, None]
     # Against the mean of the velocities before and after: of a body at rest contact takes no energy.
     mean = c.relative_velocity(start + 0.5 * (problem.free - start + course.jump))
-    pressing = dot(course.impulse, normal)
+    pressing = c.at_points(dot(course.impulse, normal), 0.0)
     along = jnp.sum(pressing * dot(mean, normal))
     total = jnp.sum(course.impulse * mean)
     depth = jnp.max(jnp.where(c.active, -c.distance, 0.0), initial=0.0)

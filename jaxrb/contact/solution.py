@@ -60,5 +60,5 @@ def speed_to_take(problem: Problem, motion: Array) -> Scalar:
     Not the speed of sliding: friction takes no more than about μ times this, however fast a body slides.
     """
     c = problem.contacts
-    missing = problem.bias - dot(c.relative_velocity(motion), c.normal[:, None])
+    missing = c.at_points(problem.bias - dot(c.relative_velocity(motion), c.normal[:, None]), 0.0)
     return jnp.max(jnp.where(c.active, missing, 0.0), initial=0.0)

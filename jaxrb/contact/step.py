@@ -14,6 +14,7 @@ from jax import lax
 
 from jaxrb.body.state import State
 from jaxrb.collision.touch import slots
+from jaxrb.contact.block import Contacts
 from jaxrb.contact.detection import Detected, detect
 from jaxrb.contact.held import driven_motion, held, turning
 from jaxrb.contact.impact import Course, closing, first_course, impact_scale
@@ -88,7 +89,8 @@ class ContactStep(eqx.Module):
             for one, other in (m.kinds for m in self.meetings)
         ]
         points = max(slots(*pair) for pair in pairs)
-        memory = first_memory(self.obstacles, self.meetings, points, state.dtype)
+        resists = any(rule.resists for rule in self.rules)
+        memory = first_memory(self.obstacles, self.meetings, points + resists, state.dtype)
         return Carried(memory, first_report(state.dtype))
 
     def resolved(
@@ -138,7 +140,7 @@ class ContactStep(eqx.Module):
         motion = jnp.concatenate([free.velocity, matvec(inverse, spin)], axis=1)
         problem = Problem(
             c,
-            self._bias(c.distance, dt),
+            self._bias(c, c.distance, dt),
             dynamics.bodies.mass,
             inertia,
             dynamics.inverse_mass,
@@ -151,11 +153,11 @@ class ContactStep(eqx.Module):
             problem = held(problem, dynamics, pose, old, free, dt)
         return problem, spin
 
-    def _bias(self, gap: Scalar, dt: Scalar) -> Scalar:
+    def _bias(self, contacts: Contacts, gap: Scalar, dt: Scalar) -> Scalar:
         """The least normal velocity that leaves no overlap at the end of the step."""
         # One slope on both sides of touch: with two, the corners of a face would ask for more than a plane can give.
         speed = jnp.min(jnp.stack([jnp.asarray(rule.recovery_speed) for rule in self.rules]))
-        return jnp.minimum(-gap / dt, speed)
+        return contacts.at_points(jnp.minimum(-gap / dt, speed), 0.0)
 
     def _tolerance(self, dtype: Any, last: Any) -> Scalar:
         """Of a solve. What a blow misses is energy for good; a resting force is put right in the next step."""
@@ -170,7 +172,7 @@ class ContactStep(eqx.Module):
         """One solve: of impacts, or at `last` (None: there is no other) of all that rests on each other."""
         c = problem.contacts
         left = c.distance + dot(c.relative_velocity(course.shift - dt * course.jump), c.normal[:, None])
-        bias, active, weight = self._bias(left, dt), c.active, dt
+        bias, active, weight = self._bias(c, left, dt), c.active, dt
         if last is not None:
             hit, target, remaining = closing(problem, course, start, dt)
             # Who still comes in fast after the last round of impacts is left to the next step.

@@ -85,6 +85,7 @@ def contact_of(bodies: tuple[Body, ...], effects: tuple[Effect, ...]) -> Any:
             from jaxrb.contact.crowd import crowd_of
 
             _check_unjoined(effects)
+            _check_resists_nothing(rule)
             crowds += [crowd_of(number, rule, own)] if own else []
         elif rule.against is None:
             meetings += _meetings(number, rule, own, count, still, frozenset() if rule.joined else apart)
@@ -117,6 +118,14 @@ def _check_unjoined(effects: tuple[Effect, ...]) -> None:
         raise WrongStructure(
             f"RigidContact beside {type(joints[0]).__name__}: the sparse solve of a crowd does not know joints; ask "
             "for solver='newton', or let fewer bodies meet each other (bodies=…)"
+        )
+
+
+def _check_resists_nothing(rule: RigidContact) -> None:
+    if rule.resists:
+        raise WrongStructure(
+            "RigidContact.rolling_resistance, spinning_resistance: the sparse solve of a crowd does not know them; ask "
+            "for solver='newton', or use rb.CompliantContact"
         )
 
 

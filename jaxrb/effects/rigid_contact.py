@@ -26,6 +26,8 @@ class RigidContact(Effect):
     * `friction` [1], `restitution` [1], in [0, 1]: for all, or one a body (n,). Of two bodies the coefficients are put
       together by `combine`: "mean", "geometric", "smaller", "larger" or "product"; against what stands still the
       body's own holds.
+    * `rolling_resistance`, `spinning_resistance` b [m]: a couple of at most b times the load, across the normal and
+      about it, that opposes how two bodies turn on each other, or holds them; given and combined as friction is.
     * `bodies`: those that take part, None all. `groups`, `masks`: a whole number a body read as bits; two bodies can
       touch where each one's mask holds a bit of the other's group. Pairs that cannot are not in the program.
     * `joined`: whether two bodies that a joint holds together may touch. By default not, as in MuJoCo: limbs overlap at
@@ -44,6 +46,8 @@ class RigidContact(Effect):
     against: Any = None
     friction: Any = quantity((), nonnegative=True, default=None)
     restitution: Any = quantity((), nonnegative=True, at_most=1.0, default=None)
+    rolling_resistance: Any = quantity((), nonnegative=True, unit="m", default=None, kw_only=True)
+    spinning_resistance: Any = quantity((), nonnegative=True, unit="m", default=None, kw_only=True)
     recovery_speed: Any = quantity((), positive=True, unit="m/s", default=0.05)
     bodies: tuple[int, ...] | None = eqx.field(static=True, default=None, kw_only=True)
     groups: tuple[int, ...] | None = eqx.field(static=True, default=None, kw_only=True)
@@ -80,6 +84,11 @@ class RigidContact(Effect):
                 raise WrongStructure(
                     f"RigidContact.{name}: {bits!r}; give one whole number for each of the {count} bodies"
                 )
+
+    @property
+    def resists(self) -> bool:
+        """Whether it has couples that resist turning."""
+        return self.rolling_resistance is not None or self.spinning_resistance is not None
 
     def chosen(self, count: int) -> tuple[int, ...]:
         """Numbers of the bodies that take part."""

@@ -21,7 +21,7 @@ from jaxrb.scene.adaptive_loop import run_adaptive
 from jaxrb.scene.adaptive_records import Settings, StepCounts
 from jaxrb.scene.certificate import Certificate, certificate_between
 from jaxrb.scene.events_corners import corners_of
-from jaxrb.scene.freedoms import check_struck_free
+from jaxrb.scene.freedoms import check_struck_plainly
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene, check_fit
 from jaxrb.scene.settings import (
@@ -208,7 +208,7 @@ def _check_scene(scene: Scene, state: State, method: Method) -> None:
         )
     check_struck("solve_contact", state, method)
     check_jointed(scene, "solve_contact", "use rb.rollout")
-    check_struck_free("solve_contact", freedoms_of(scene.bodies), scene.effects)
+    check_struck_plainly("solve_contact", freedoms_of(scene.bodies), scene.effects)
     if restricted(freedoms_of(scene.bodies)) is not None:
         raise WrongStructure(
             "solve_contact: a body's freedom is restricted; all must be free: use rb.rollout"

@@ -26,7 +26,7 @@ from jaxrb.scene.events_loop import (
     Settings,
     run_events,
 )
-from jaxrb.scene.freedoms import check_struck_free
+from jaxrb.scene.freedoms import check_struck_plainly
 from jaxrb.scene.path import Path
 from jaxrb.scene.scene import Scene, check_fit
 from jaxrb.scene.settings import ON_ERROR, check_choice, check_count, check_positive, check_struck
@@ -165,7 +165,7 @@ def _check_scene(scene: Scene, state: State, method: Method, dt: Any) -> None:
             "solve_events: the scene has no RigidContact, so nothing can meet; add one, or use rb.rollout or rb.solve"
         )
     check_struck("solve_events", state, method)
-    check_struck_free("solve_events", freedoms_of(scene.bodies), scene.effects)
+    check_struck_plainly("solve_events", freedoms_of(scene.bodies), scene.effects)
     if dt is not None:
         check_positive("dt", dt)
     elif not is_exact(others):

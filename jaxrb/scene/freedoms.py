@@ -15,8 +15,8 @@ from jaxrb.effects.rigid_contact import RigidContact
 from jaxrb.errors import InvalidInput, WrongStructure
 
 
-def check_struck_free(run: str, freedoms: Sequence[Freedom], effects: Sequence[Effect]) -> None:
-    """Refuse rigid contact of bodies that are not free in a `run` whose impacts would move what cannot move.
+def check_struck_plainly(run: str, freedoms: Sequence[Freedom], effects: Sequence[Effect]) -> None:
+    """Refuse rigid contact of bodies that are not free, or that resists turning, in a `run` whose impacts know neither.
 
     Raises:
         WrongStructure: naming the body and what else to do.
@@ -25,6 +25,10 @@ def check_struck_free(run: str, freedoms: Sequence[Freedom], effects: Sequence[E
     for effect in effects:
         if not isinstance(effect, RigidContact):
             continue
+        if effect.resists:
+            raise WrongStructure(
+                f"{run}: RigidContact resists rolling or spinning, which this run does not know; use rb.rollout"
+            )
         for body in effect.chosen(len(freedoms)):
             if freedoms[body] == FREE and body not in driven:
                 continue

@@ -110,7 +110,8 @@ def _pressed(scene: Scene, states: State, dt: Array, method: Method) -> tuple[An
         )  # nobody stands still
         other = jnp.concatenate([still, first.astype(jnp.int32)])
         pair = jnp.broadcast_to(jnp.stack([acted, other], axis=1)[:, None], (*c.active.shape, 2))
-        force = jnp.where(c.active[..., None], found.start, 0.0) / dt
+        shown = c.at_points(c.active, False)  # couples are no forces
+        force = jnp.where(shown[..., None], found.start, 0.0) / dt
         rows = (pushed[:, None] + c.lever, force, pair)
         return jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), rows)
 

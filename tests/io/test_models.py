@@ -183,7 +183,7 @@ UNSUPPORTED = """<mujoco model="much">
 <default><joint armature="0.1"/><site size="0.1"/></default>
 <asset><hfield name="hills" nrow="2" ncol="2" size="1 1 1 1"/><material name="red"/></asset>
 <worldbody><light pos="0 0 3"/><geom type="hfield" hfield="hills"/><body name="a"><freejoint/>
-<geom name="g" size="0.1" condim="6" rgba="1 0 0 1" solref="0.01 1" wobble="3"/><site name="mark"/></body>
+<geom name="g" size="0.1" margin="0.1" rgba="1 0 0 1" solref="0.01 1" wobble="3"/><site name="mark"/></body>
 <body name="b" pos="0 0 1" gravcomp="0.5"><joint name="j1"
 range="-10 10" frictionloss="1"/><joint name="j2" axis="0 1 0"/><geom size="0.1"/></body></worldbody>
 <tendon><fixed name="t"><joint joint="j1" coef="1"/></fixed></tendon>
@@ -193,7 +193,7 @@ range="-10 10" frictionloss="1"/><joint name="j2" axis="0 1 0"/><geom size="0.1"
 LISTED = {
     (2, "/mujoco/option@density"), (2, "/mujoco/option/flag@filterparent"), (3, "/mujoco/default/joint@armature"),
     (4, "/mujoco/asset/hfield[hills]"), (5, "/mujoco/worldbody/geom@type"),
-    (6, "/mujoco/worldbody/body/geom[g]@condim"),
+    (6, "/mujoco/worldbody/body/geom[g]@margin"),
     (6, "/mujoco/worldbody/body/geom[g]@wobble"), (7, "/mujoco/worldbody/body[b]@gravcomp"),
     (7, "/mujoco/worldbody/body/joint[j1]@frictionloss"), (9, "/mujoco/tendon"), (10, "/mujoco/equality"),
     (11, "/mujoco/actuator"), (7, "joint[j1]"), (8, "joint[j2]"),
@@ -262,6 +262,30 @@ def test_a_model_whose_contact_is_off_or_without_friction(tmp_path):
     assert not any(
         isinstance(e, rb.RigidContact) for e in rb.load_mjcf(file, unsupported="report").scene.effects
     )
+
+
+ROLLS = """<mujoco><option cone="elliptic" impratio="10"/><worldbody>
+<geom type="plane" size="9 9 1" friction="1 0.02 0.001"/>
+<body pos="0 0 0.1"><freejoint/><geom size="0.1" condim="6" friction="0.5 0.001 0.01"/></body>
+<body pos="5 0 0.1"><freejoint/><geom size="0.1" condim="4" friction="0.5 0.03 0.01"/></body></worldbody></mujoco>"""
+
+
+@ONCE
+def test_a_model_that_resists_rolling_and_spinning(tmp_path):
+    """The larger number of the two where the pair's condim counts it; MuJoCo's numbers mean what they mean here."""
+    file = tmp_path / "rolls.xml"
+    file.write_text(ROLLS)
+    model = rb.load_mjcf(file, unsupported="report")
+    floor, mutual = model.scene.effects[1:]
+    assert floor.friction == 1.0
+    np.testing.assert_allclose(floor.spinning_resistance, [0.02, 0.03], rtol=1e-6)
+    np.testing.assert_allclose(floor.rolling_resistance, [0.01, 0.0], rtol=1e-6)
+    np.testing.assert_allclose(mutual.rolling_resistance, [0.01, 0.0], rtol=1e-6)
+    assert [f.why for f in model.unsupported if "different condim" in f.why]
+    given, data = compiled(file)
+    data.qvel[[0, 4]] = 1.0, 10.0
+    mujoco.mj_step(given, data, round(0.5 / given.opt.timestep))
+    assert 1.0 - data.qvel[0] == pytest.approx(5 / 7 * 9.81 * 0.01 / 0.1 * data.time, rel=0.03)
 
 
 @ONCE

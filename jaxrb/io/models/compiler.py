@@ -197,7 +197,7 @@ def _geom(mujoco: Any, model: Any, g: int, files: dict[str, str], inline: dict[s
         "contype": int(model.geom_contype[g]),
         "conaffinity": int(model.geom_conaffinity[g]),
         "condim": int(model.geom_condim[g]),
-        "friction": float(model.geom_friction[g, 0]),
+        "friction": model.geom_friction[g].tolist(),
     }
 
 

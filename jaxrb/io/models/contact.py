@@ -11,6 +11,8 @@ from jaxrb.io.models.bodies import Placed, colliding, name_of
 from jaxrb.io.models.survey import Finding, Survey
 from jaxrb.math.quaternion import Quaternion
 
+# From which dimension of contact on each of MuJoCo's three numbers of friction counts, and its name here.
+_COEFFICIENTS = ((1, "friction"), (4, "spinning_resistance"), (6, "rolling_resistance"))
 _MOST_SORTS = 62  # bits of a whole number that masks can use
 
 
@@ -20,7 +22,7 @@ class _Side(NamedTuple):
     contype: int
     conaffinity: int
     condim: int
-    friction: float
+    friction: tuple[float, float, float]
     bodies: frozenset[int]
 
 
@@ -30,7 +32,7 @@ def contacts_of(
     """The effects that let bodies touch as the model says, and what they leave out.
 
     MuJoCo lets two geoms touch where one's contype shares a bit with the other's conaffinity, and takes the larger
-    friction of the two.
+    friction and the larger `condim` of the two.
     """
     if not answer["contact"]:
         return [], []
@@ -47,7 +49,7 @@ def contacts_of(
     effects = _against_still(sides, standing, shapes, banned, len(movers))
     effects += _between(answer, sides, banned, len(movers), survey, findings)
     dimensions = {side.condim for side in (*sides.values(), *standing.values())}
-    if effects and len(dimensions) > 1:
+    if effects and 1 in dimensions and len(dimensions) > 1:
         findings.append(
             Finding(
                 survey.file.name,
@@ -78,7 +80,7 @@ def _banned(
 def _of_geoms(answer: Mapping[str, Any], geoms: Sequence[int]) -> _Side:
     first = answer["geoms"][geoms[0]]
     bodies = frozenset(answer["geoms"][g]["body"] for g in geoms)
-    return _Side(first["contype"], first["conaffinity"], first["condim"], first["friction"], bodies)
+    return _Side(first["contype"], first["conaffinity"], first["condim"], tuple(first["friction"]), bodies)
 
 
 def _side(
@@ -109,13 +111,14 @@ def _against_still(
     for g, side in standing.items():
         touching = tuple(i for i, mover in sides.items() if _may_touch(mover, side, banned))
         if touching:
-            together.setdefault((touching, side.friction), []).append(g)
+            together.setdefault((touching, side.condim, side.friction), []).append(g)
     effects = []
-    for (touching, own), members in together.items():
-        friction = _friction(sides, touching, count, own)
+    for (touching, *_), members in together.items():
         effects.append(
             RigidContact(
-                tuple(_obstacle(shapes[g]) for g in members), friction, bodies=_some(touching, count)
+                tuple(_obstacle(shapes[g]) for g in members),
+                bodies=_some(touching, count),
+                **_coefficients(sides, touching, count, standing[members[0]]),
             )
         )
     return effects
@@ -156,16 +159,30 @@ def _between(
             groups[i] = 1 << int(sort[row])
             masks[i] = sum(1 << k for k in {int(s) for s in sort[allowed[row]]})
         options = {"groups": tuple(groups.tolist()), "masks": tuple(masks.tolist())}
-    friction = _friction(sides, numbers, count, 0.0)
-    return [RigidContact(None, friction, bodies=_some(numbers, count), combine="larger", **options)]
+    if len({max(side.condim, 3) for side in sides.values()}) > 1:
+        why = (
+            "bodies of different condim meet; each was given what its own asks for, not the larger of the two"
+        )
+        findings.append(Finding(survey.file.name, 0, "geom@condim", why))
+    options |= _coefficients(sides, numbers, count, None)
+    return [RigidContact(None, bodies=_some(numbers, count), combine="larger", **options)]
 
 
-def _friction(sides: Mapping[int, _Side], touching: Sequence[int], count: int, own: float) -> Any:
-    values = np.zeros(count)
-    for i in touching:
-        values[i] = max(sides[i].friction, own)
-    chosen = values[list(touching)]
-    return float(chosen[0]) if np.ptp(chosen) == 0 else values
+def _coefficients(
+    sides: Mapping[int, _Side], touching: Sequence[int], count: int, other: _Side | None
+) -> dict[str, Any]:
+    """Friction and resistances of the movers that touch, against an `other` that stands still or each its own."""
+    found = {}
+    for k, (least, name) in enumerate(_COEFFICIENTS):
+        values = np.zeros(count)
+        for i in touching:
+            pair = [sides[i]] if other is None else [sides[i], other]
+            if max(side.condim for side in pair) >= least:
+                values[i] = max(side.friction[k] for side in pair)
+        chosen = values[list(touching)]
+        if least == 1 or chosen.any():
+            found[name] = float(chosen[0]) if np.ptp(chosen) == 0 else values
+    return found
 
 
 def _some(touching: Sequence[int], count: int) -> tuple[int, ...] | None:

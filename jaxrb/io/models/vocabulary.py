@@ -70,7 +70,7 @@ _GEOM = {
     ),
     **text("mesh shellinertia"),
     **numbers("size fromto mass density contype conaffinity friction group fitscale"),
-    **only("1 3", "contact has no friction of spinning and rolling", "condim"),
+    **only("1 3 4 6", "MuJoCo itself knows no other", "condim"),
     **only("0", "rigid contact has no such quantity", "margin gap adhesion"),
     **only("0 0.0", "contact knows one coefficient a body", "priority"),
     **only("none", "jaxrb has no such fluid force", "fluidshape"),
