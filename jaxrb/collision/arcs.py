@@ -28,12 +28,14 @@ _WAITING = 6
 class NormalFan(NamedTuple):
     """A polytope for this search: `points` (n, 3, L), unit face normals (f, 3, L), and for each edge one of its ends
     (e, L) and the numbers of its two faces (e, L) each. Whole numbers may have a last axis of 1: the same for all.
+    `offsets` (f, L): of the faces along their normals where these are at hand, None: what the points say.
     """
 
     points: Any
     normals: Any
     ends: Any
     faces: tuple[Any, Any]
+    offsets: Any = None
 
 
 class Depth(NamedTuple):
@@ -62,10 +64,15 @@ class _Search(NamedTuple):
 def depth_by_arcs(a: NormalFan, b: NormalFan, scale: Any, turns: int = 64) -> Depth:
     """The depth for L overlapping pairs, to a few round-offs of `scale` (L,), the largest coordinate."""
     tolerance = 8 * jnp.finfo(scale.dtype).eps * scale
-    best, normal, supports = settled(_face_values(a, b))
+    least, normal, supports = settled(_face_values(a, b))
+    best = least
+    if a.offsets is not None or b.offsets is not None:
+        # A sliver's normal, known to few digits, lets corners stand out beyond its own.
+        out, back = (heights(fan.points, list(normal)) for fan in (a, b))
+        best = jnp.maximum(best, out.max(axis=0) - back.min(axis=0))
     if a.ends.shape[0] == 0 or b.ends.shape[0] == 0:
         # A point has no edges, and then all minima are at the other's faces.
-        return Depth(normal, best, best - tolerance, jnp.zeros((), jnp.int32))
+        return Depth(normal, best, least - tolerance, jnp.zeros((), jnp.int32))
     state = _start(a, supports, best, normal, scale, tolerance)
     found = lax.while_loop(
         lambda s: (s.turns < turns) & ~jnp.all(s.done),
@@ -73,7 +80,7 @@ def depth_by_arcs(a: NormalFan, b: NormalFan, scale: Any, turns: int = 64) -> De
         state,
     )
     open_bound = jnp.where(found.done, jnp.inf, found.bound)
-    lower = jnp.minimum(jnp.minimum(found.best - tolerance, open_bound), found.dropped)
+    lower = jnp.minimum(jnp.minimum(jnp.minimum(found.best, least) - tolerance, open_bound), found.dropped)
     return Depth(found.normal, found.best, lower, found.turns)
 
 
@@ -101,13 +108,14 @@ def _supported(one: NormalFan, other: NormalFan, numbered: bool) -> tuple[Any, A
     and cost twice as much.
     """
 
-    def of_face(normals: Any) -> tuple[Any, Any]:
+    def of_face(face: Any) -> tuple[Any, Any]:
+        normals, offset = face
         reach = settled(heights(other.points, normals))
         least = reach.min(axis=0)
-        value = heights(one.points, normals).max(axis=0) - least
-        return value, first_of(reach <= least) if numbered else None
+        own = heights(one.points, normals).max(axis=0) if offset is None else offset
+        return own - least, first_of(reach <= least) if numbered else None
 
-    return lax.map(of_face, one.normals)
+    return lax.map(of_face, (one.normals, one.offsets))
 
 
 def _gather3(table: Any, numbers: Any) -> list[Any]:

@@ -134,8 +134,10 @@ def normal_fan(shape: Shape, points: Any, rotation: Array | None) -> NormalFan:
         settled(tuple(gathered(points[:, k], faces[:, corner]) for k in range(3))) for corner in range(3)
     )
     sides = [[end[k] - a[k] for k in range(3)] for end in (b, c)]
-    normals = jnp.moveaxis(unit(cross(*sides)), 0, 1)
-    return NormalFan(points, settled(normals), edges[:, 0], (edges[:, 2], edges[:, 3]))
+    normals = settled(jnp.moveaxis(unit(cross(*sides)), 0, 1))
+    own = [sum(normals[:, k] * corner[k] for k in range(3)) for corner in (a, b, c)]
+    offsets = settled(jnp.maximum(jnp.maximum(own[0], own[1]), own[2]))
+    return NormalFan(points, normals, edges[:, 0], (edges[:, 2], edges[:, 3]), offsets)
 
 
 @functools.cache
