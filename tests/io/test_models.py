@@ -367,6 +367,18 @@ def test_limits_are_named(files):
         rb.load_mjcf(files["sphere"], max_bytes=10)
 
 
+def test_too_little_memory_is_never_the_fault_of_the_model(files):
+    """At 128 MiB there is room for half of MuJoCo's modules: what that said was told as a refusal of the model."""
+    limits, ended = range(96 * 2**20, 176 * 2**20, 8 * 2**20), []
+    for most in limits:
+        try:
+            rb.load_mjcf(files["sphere"], max_memory=most)
+        except LimitExceeded:
+            ended.append(most)
+    assert ended == list(limits[: len(ended)])  # and where that was enough, more is
+    rb.load_mjcf(files["sphere"])
+
+
 ARM = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="a" pos="0 0 2"><freejoint/><geom size="0.1"/>
 <body name="b"><joint type="hinge" axis="0 1 0"/><geom size="0.1"/><body name="c"><joint type="hinge" axis="1 0 0"/>
 <geom size="0.1"/></body></body></body></worldbody></mujoco>"""

@@ -67,6 +67,7 @@ def compiled(survey: Survey, free_root: bool, keyframe: str | int | None) -> dic
     if not answer:
         last = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
         raise JaxrbError(
-            f"{name}: MuJoCo's process ended with code {done.returncode} and no answer: {' '.join(last)}"
+            f"{name}: MuJoCo's process ended with code {done.returncode} and no answer: {' '.join(last)}; some of its "
+            f"parts do so where memory ends, so raise max_memory={limits.max_memory} bytes or mend the model"
         )
     return answer
